@@ -52,25 +52,37 @@ class Camera:
         """Raise a ClsplatError if no picture can be drawn with these numbers."""
         for name in ("width", "height"):
             side = getattr(self, name)
-            if isinstance(side, bool) or not (
-                    isinstance(side, (int, np.integer)) and 0 < side <= MOST_PIXELS):
-                raise InputError(f"{name} {side!r}: expects a whole number of pixels from 1 to "
-                                 f"{MOST_PIXELS:,}")
-        for name, shape in (("focal", (2,)), ("centre", (2,)), ("rotation", (3, 3)),
-                            ("translation", (3,)), ("offset", (3,))):
+            if isinstance(side, bool) or not (isinstance(side, (int, np.integer)) and 0 < side <= MOST_PIXELS):
+                raise InputError(f"{name} {side!r}: expects a whole number of pixels from 1 to {MOST_PIXELS:,}")
+        for name, shape in (
+            ("focal", (2,)),
+            ("centre", (2,)),
+            ("rotation", (3, 3)),
+            ("translation", (3,)),
+            ("offset", (3,)),
+        ):
             numbers(name, getattr(self, name), shape)
         if not all(LEAST_FOCAL <= each <= MOST_FOCAL for each in self.focal):
-            raise InputError(f"focal {self.focal}: expects pixels from {LEAST_FOCAL:g} to "
-                             f"{MOST_FOCAL:g}")
+            raise InputError(f"focal {self.focal}: expects pixels from {LEAST_FOCAL:g} to {MOST_FOCAL:g}")
         if not np.allclose(self.rotation @ np.transpose(self.rotation), np.eye(3), atol=1e-3):
             raise InputError("rotation: its rows are not orthogonal unit vectors; give a rotation")
         if np.linalg.det(self.rotation) < 0:
-            raise InputError("rotation: is a mirror image (its determinant is -1); turn one of its "
-                             "axes, so that they are right, down and forward")
+            raise InputError(
+                "rotation: is a mirror image (its determinant is -1); turn one of its "
+                "axes, so that they are right, down and forward"
+            )
 
     @classmethod
-    def looking_at(cls, target: ArrayLike, position: ArrayLike, *, up: ArrayLike = (0, 0, 1),
-                   width: int = 640, height: int = 480, degrees: float = 60.0) -> Camera:
+    def looking_at(
+        cls,
+        target: ArrayLike,
+        position: ArrayLike,
+        *,
+        up: ArrayLike = (0, 0, 1),
+        width: int = 640,
+        height: int = 480,
+        degrees: float = 60.0,
+    ) -> Camera:
         """A camera at a position that looks at a target.
 
         Parameters
@@ -90,18 +102,17 @@ class Camera:
         right = np.cross(forward, np.asarray(up, np.float64))
         lengths = np.linalg.norm(forward), np.linalg.norm(right)
         if not (min(lengths) > 1e-12 * max(1.0, float(np.linalg.norm(up))) * lengths[0]):
-            raise InputError("the camera's target is at its position, or straight up or down from "
-                             "it; give another `up`")
+            raise InputError(
+                "the camera's target is at its position, or straight up or down from it; give another `up`"
+            )
         forward, right = forward / lengths[0], right / lengths[1]
         rotation = np.stack([right, np.cross(forward, right), forward])
         focal = width / (2 * np.tan(np.radians(degrees) / 2))
-        return cls(width, height, (float(focal), float(focal)), (width / 2, height / 2), rotation,
-                   -rotation @ centre)
+        return cls(width, height, (float(focal), float(focal)), (width / 2, height / 2), rotation, -rotation @ centre)
 
     def __repr__(self) -> str:
         place = ", ".join(f"{value:.4g}" for value in self.position)
-        return (f"<clsplat.Camera {self.width} x {self.height}, focal length {self.focal[0]:.4g}, "
-                f"at ({place})>")
+        return f"<clsplat.Camera {self.width} x {self.height}, focal length {self.focal[0]:.4g}, at ({place})>"
 
     @property
     def borders(self) -> tuple[float, float, float, float]:
@@ -123,9 +134,13 @@ class Camera:
         sx, sy = width / self.width, height / self.height
         whole = self.whole and tuple(np.multiply(self.whole, (sx, sy, sx, sy)).tolist())
         return replace(
-            self, width=width, height=height,
+            self,
+            width=width,
+            height=height,
             focal=(self.focal[0] * sx, self.focal[1] * sy),
-            centre=(self.centre[0] * sx, self.centre[1] * sy), whole=whole)
+            centre=(self.centre[0] * sx, self.centre[1] * sy),
+            whole=whole,
+        )
 
     def cropped(self, left: int, top: int, right: int, bottom: int) -> Camera:
         """The same camera for a part of its image.
@@ -135,9 +150,12 @@ class Camera:
         left, top, right, bottom : borders of the part, pixels; the last two are exclusive.
         """
         return replace(
-            self, width=right - left, height=bottom - top,
+            self,
+            width=right - left,
+            height=bottom - top,
             centre=(self.centre[0] - left, self.centre[1] - top),
-            whole=tuple(np.subtract(self.borders, [left, top, left, top]).tolist()))
+            whole=tuple(np.subtract(self.borders, [left, top, left, top]).tolist()),
+        )
 
     def turned(self, quarters: int) -> Camera:
         """The same camera for its image after clockwise quarter turns.
@@ -150,12 +168,16 @@ class Camera:
             return self
         turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
         left, top, right, bottom = self.borders
-        whole = None if self.whole is None else (self.height - bottom, left, self.height - top,
-                                                 right)
+        whole = None if self.whole is None else (self.height - bottom, left, self.height - top, right)
         return replace(
-            self, width=self.height, height=self.width, focal=self.focal[::-1],
-            centre=(self.height - self.centre[1], self.centre[0]), whole=whole,
-            rotation=turn @ self.rotation, translation=turn @ self.translation
+            self,
+            width=self.height,
+            height=self.width,
+            focal=self.focal[::-1],
+            centre=(self.height - self.centre[1], self.centre[0]),
+            whole=whole,
+            rotation=turn @ self.rotation,
+            translation=turn @ self.translation,
         ).turned(quarters - 1)
 
     def reduced(self, downscale: float, max_resolution: float = 0) -> Camera:
@@ -180,8 +202,7 @@ class Camera:
         offset : float64[3], world: the new origin.
         """
         away = np.asarray(offset, np.float64)
-        return replace(self, translation=self.translation + self.rotation @ away,
-                       offset=self.offset + away)
+        return replace(self, translation=self.translation + self.rotation @ away, offset=self.offset + away)
 
     def moved(self, turn: ArrayLike, shift: ArrayLike) -> Camera:
         """The same camera with another pose.
@@ -192,10 +213,12 @@ class Camera:
             sees turns about its centre.
         shift : float[3], world units; by which its centre moves, in the axes of this camera.
         """
-        turned = scipy.spatial.transform.Rotation.from_rotvec(
-            np.asarray(turn, np.float64)).as_matrix()
-        return replace(self, rotation=turned @ self.rotation,
-                       translation=turned @ (self.translation - np.asarray(shift, np.float64)))
+        turned = scipy.spatial.transform.Rotation.from_rotvec(np.asarray(turn, np.float64)).as_matrix()
+        return replace(
+            self,
+            rotation=turned @ self.rotation,
+            translation=turned @ (self.translation - np.asarray(shift, np.float64)),
+        )
 
     def project(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The pixels float64[N, 2] to which points float64[N, 3], world, project, and their depths
@@ -216,8 +239,9 @@ class Camera:
         """Which pixels [N, 2] lie within the image, or up to `beyond` pixels ([N] or one number)
         outside of it, as bool[N]."""
         (x, y), beyond = pixels.T, np.asarray(beyond)
-        inside: NDArray[np.bool_] = ((x > -beyond) & (x < self.width + beyond)
-                                     & (y > -beyond) & (y < self.height + beyond))
+        inside: NDArray[np.bool_] = (
+            (x > -beyond) & (x < self.width + beyond) & (y > -beyond) & (y < self.height + beyond)
+        )
         return inside
 
 
@@ -272,6 +296,10 @@ class Lens:
         to rounding to whole pixels."""
         width, height = max(1, round(self.width * scale_x)), max(1, round(self.height * scale_y))
         sx, sy = width / self.width, height / self.height
-        return replace(self, width=width, height=height,
-                       focal=(self.focal[0] * sx, self.focal[1] * sy),
-                       centre=(self.centre[0] * sx, self.centre[1] * sy))
+        return replace(
+            self,
+            width=width,
+            height=height,
+            focal=(self.focal[0] * sx, self.focal[1] * sy),
+            centre=(self.centre[0] * sx, self.centre[1] * sy),
+        )

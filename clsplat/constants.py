@@ -81,5 +81,4 @@ PROJECT_GROUP: Final = 64  # gaussians whose harmonics a group loads together
 EXPOSURE_BLOCK: Final = 2048  # pixels that a partial sum of the exposure's gradient covers
 POSE_BLOCK: Final = 1024  # gaussians that a partial sum of the pose's gradient covers
 
-SHARED: Final = MappingProxyType(
-    {name: value for name, value in list(globals().items()) if name.isupper()})
+SHARED: Final = MappingProxyType({name: value for name, value in list(globals().items()) if name.isupper()})

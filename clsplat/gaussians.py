@@ -86,8 +86,7 @@ class Gaussians:
     offset: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
-        """InputError unless every field is there and fits the others, as kernels take for granted.
-        """
+        """InputError unless every field is there and fits the others, as kernels take for granted."""
         if not (isinstance(self.sh_degree, (int, np.integer)) and 0 <= self.sh_degree <= 3):
             raise InputError(f"sh_degree {self.sh_degree!r}: expects 0, 1, 2 or 3")
         if not isinstance(self.rows, dict):
@@ -100,8 +99,10 @@ class Gaussians:
                     kind = getattr(values, "dtype", type(values).__name__)
                     raise InputError(f"{known.name}: is {kind}; give a numpy array of real numbers")
                 if values.shape != shape:
-                    raise InputError(f"{known.name}: has shape {values.shape}, not {shape}, which "
-                                     f"{count:,} gaussians of SH degree {self.sh_degree} have")
+                    raise InputError(
+                        f"{known.name}: has shape {values.shape}, not {shape}, which "
+                        f"{count:,} gaussians of SH degree {self.sh_degree} have"
+                    )
         if np.shape(self.offset) != (3,) or not np.isfinite(self.offset).all():
             raise InputError(f"offset {self.offset!r}: expects three finite numbers")
 
@@ -117,8 +118,7 @@ class Gaussians:
             raise AttributeError(name) from None
 
     @classmethod
-    def from_points(cls, points: NDArray[np.floating], colours: NDArray[np.uint8],
-                    sh_degree: int = 3) -> Self:
+    def from_points(cls, points: NDArray[np.floating], colours: NDArray[np.uint8], sh_degree: int = 3) -> Self:
         """Initial gaussians on a sparse point cloud (Kerbl et al. 2023, section 5.1).
 
         They are isotropic, with the root mean square distance to the three nearest neighbours as
@@ -139,10 +139,8 @@ class Gaussians:
             "positions": points.astype(np.float32),
             "sh_constant": ((colours / 255.0 - 0.5) / SH_C0).astype(np.float32),
             "sh_rest": np.zeros((count, (sh_degree + 1) ** 2 - 1, 3), np.float32),
-            "opacity_logits": np.full(
-                count, np.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY)), np.float32),
-            "log_scales": np.repeat(
-                np.log(neighbour_distance(points))[:, None], 3, axis=1).astype(np.float32),
+            "opacity_logits": np.full(count, np.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY)), np.float32),
+            "log_scales": np.repeat(np.log(neighbour_distance(points))[:, None], 3, axis=1).astype(np.float32),
             "quaternions": np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
         }
         return cls(rows, sh_degree)
@@ -197,8 +195,10 @@ class Gaussians:
         offset : float64[3], original coordinates of the new origin.
         """
         away = self.offset - np.asarray(offset, np.float64)
-        rows = {name: (values + away).astype(np.float32) if name in ("positions", "anchors")
-                else values for name, values in self.rows.items()}
+        rows = {
+            name: (values + away).astype(np.float32) if name in ("positions", "anchors") else values
+            for name, values in self.rows.items()
+        }
         return replace(self, rows=rows, offset=np.asarray(offset, np.float64))
 
     def __repr__(self) -> str:
@@ -233,15 +233,15 @@ def mean_inverse_distance(points: NDArray[np.floating]) -> float:
     return float((1 / nearest).mean())
 
 
-def _distances(points: NDArray[np.floating], neighbours: int
-               ) -> tuple[NDArray[np.float64], NDArray[np.intp], float]:
+def _distances(points: NDArray[np.floating], neighbours: int) -> tuple[NDArray[np.float64], NDArray[np.intp], float]:
     """(float64[M, k] distances of the M distinct points to their nearest neighbours, ascending;
     int[N], which of them each point is; the distance below which two points are coincident)."""
     distinct, inverse = _distinct(points)
     if len(distinct) < 2:
         raise InputError(
             f"the sparse model's {len(points)} points all lie at one place; "
-            "reconstruct the scene again, or check the units of its points")
+            "reconstruct the scene again, or check the units of its points"
+        )
     # an outlier far away must not make the other points coincident
     typical = np.median(np.linalg.norm(distinct - np.median(distinct, axis=0), axis=1))
     size = min(np.linalg.norm(np.ptp(distinct, axis=0)), 10 * typical)

@@ -97,7 +97,15 @@ def axis_errors(residuals: Iterable[Residual]) -> dict[str, AxisError]:
     for axis, column in zip(AXES, rows.reshape(-1, 3).T):
         values = column[np.isfinite(column)]  # of a height that is not known: nan
         if len(values):
-            result[axis] = AxisError(*(round(float(number), 4) for number in (
-                values.mean(), values.std(), np.sqrt(np.mean(values**2)),
-                np.quantile(np.abs(values), 0.9))))
+            result[axis] = AxisError(
+                *(
+                    round(float(number), 4)
+                    for number in (
+                        values.mean(),
+                        values.std(),
+                        np.sqrt(np.mean(values**2)),
+                        np.quantile(np.abs(values), 0.9),
+                    )
+                )
+            )
     return result

@@ -64,7 +64,7 @@ def squared_radius(camera: Camera) -> NDArray[np.float64]:
     """float64[H, W], the squared distance of the pixels from the optical axis, in focal lengths."""
     x = (np.arange(camera.width) + 0.5 - camera.centre[0]) / camera.focal[0]
     y = (np.arange(camera.height) + 0.5 - camera.centre[1]) / camera.focal[1]
-    return x**2 + y[:, None]**2
+    return x**2 + y[:, None] ** 2
 
 
 def corner_radius(camera: Camera) -> float:
@@ -108,13 +108,11 @@ class Lenses:
     @classmethod
     def of_responses(cls, responses: Sequence[Response]) -> Lenses:
         """A lens for each response that is known already."""
-        return cls(np.arange(len(responses)),
-                   np.array([response.vignetting for response in responses]))
+        return cls(np.arange(len(responses)), np.array([response.vignetting for response in responses]))
 
 
 def lens_kind(camera: Camera) -> tuple[int, int]:
     """The same for all cameras with one lens."""
     left, top, right, bottom = camera.borders
     width, height = right - left, bottom - top
-    return (round(np.log(width / height) / SAME_FOCAL),
-            round(np.log(camera.focal[0] / width) / SAME_FOCAL))
+    return (round(np.log(width / height) / SAME_FOCAL), round(np.log(camera.focal[0] / width) / SAME_FOCAL))

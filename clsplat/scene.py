@@ -136,8 +136,10 @@ class Scene:
 
     def corrected(self, corrections: Mapping[str, Correction]) -> Self:
         """The scene with corrected poses of some views, by name, in its units."""
-        views = (replace(view, camera=corrections[view.name].applied(view.camera))
-                 if view.name in corrections else view for view in self.views)
+        views = (
+            replace(view, camera=corrections[view.name].applied(view.camera)) if view.name in corrections else view
+            for view in self.views
+        )
         return replace(self, views=tuple(views), given_up=self.up)
 
     def with_up(self, up: ArrayLike) -> Self:
@@ -176,8 +178,10 @@ class Scene:
         """The extent of the cameras, and the median distance of a point from their mean."""
         positions = np.array([view.camera.position for view in self.views])
         middle = positions.mean(axis=0)
-        return (1.1 * float(np.linalg.norm(positions - middle, axis=1).max()),
-                float(np.median(np.linalg.norm(self.points - middle, axis=1))))
+        return (
+            1.1 * float(np.linalg.norm(positions - middle, axis=1).max()),
+            float(np.median(np.linalg.norm(self.points - middle, axis=1))),
+        )
 
     @property
     def near_plane(self) -> float:
@@ -189,8 +193,7 @@ class Scene:
         in original units, 0: `near_plane`."""
         return requested / self.unit or self.near_plane
 
-    def split(self, test_every: int, test_offset: int = 0
-              ) -> tuple[tuple[View, ...], tuple[View, ...]]:
+    def split(self, test_every: int, test_offset: int = 0) -> tuple[tuple[View, ...], tuple[View, ...]]:
         """The training views and the held-out views.
 
         Parameters
@@ -208,8 +211,10 @@ class Scene:
         held_out = self.held_out
         if held_out is None:
             held_out = frozenset(view.name for view in self.views[test_offset::test_every])
-        return (tuple(v for v in self.views if v.name not in held_out),
-                tuple(v for v in self.views if v.name in held_out))
+        return (
+            tuple(v for v in self.views if v.name not in held_out),
+            tuple(v for v in self.views if v.name in held_out),
+        )
 
     def part(self, indices: Iterable[int]) -> Self:
         """The scene with some of its views, by their indices, and the points that these see."""
@@ -220,16 +225,22 @@ class Scene:
         else:
             point, view = known[np.isin(known[:, 1], chosen)].T
             seen = np.bincount(point, minlength=len(self.points)) > 0
-            known = np.stack([np.cumsum(seen)[point] - 1, np.searchsorted(chosen, view)],
-                             axis=1).astype(np.int32)
-        return replace(self, views=views, points=self.points[seen], colours=self.colours[seen],
-                       observations=known, given_up=self.up)
+            known = np.stack([np.cumsum(seen)[point] - 1, np.searchsorted(chosen, view)], axis=1).astype(np.int32)
+        return replace(
+            self,
+            views=views,
+            points=self.points[seen],
+            colours=self.colours[seen],
+            observations=known,
+            given_up=self.up,
+        )
 
     def cropped(self, windows: dict[str, tuple[int, int, int, int]]) -> Self:
         """The scene with views cropped to parts of their photos, by name (left, top, right, bottom,
         in pixels), and with observations only in these."""
-        views = tuple(replace(v, camera=v.camera.cropped(*windows[v.name]))
-                      if v.name in windows else v for v in self.views)
+        views = tuple(
+            replace(v, camera=v.camera.cropped(*windows[v.name])) if v.name in windows else v for v in self.views
+        )
         known = self.observations
         if known is not None:
             inside = np.ones(len(known), bool)
@@ -247,29 +258,36 @@ class Scene:
         downscale : width and height are divided by this.
         max_resolution : pixels, the longest side that a photo may have after this; 0: any.
         """
-        return replace(self, views=tuple(
-            replace(v, camera=v.camera.reduced(downscale, max_resolution)) for v in self.views))
+        return replace(
+            self, views=tuple(replace(v, camera=v.camera.reduced(downscale, max_resolution)) for v in self.views)
+        )
 
     def recentred(self) -> Self:
         """The scene with its origin at the median point, for the precision of float32."""
         offset = np.median(self.points, axis=0)
         return replace(
-            self, points=self.points - offset, offset=self.offset + offset,
-            views=tuple(replace(v, camera=v.camera.shifted(offset)) for v in self.views))
+            self,
+            points=self.points - offset,
+            offset=self.offset + offset,
+            views=tuple(replace(v, camera=v.camera.shifted(offset)) for v in self.views),
+        )
 
     def normalised(self) -> Self:
         """The scene in units of its extent, so that computations in float32 do not depend on the
         unit of the original coordinates."""
         extent = self.extent
         return replace(
-            self, points=self.points / extent, unit=self.unit * extent, given_up=self.up,
+            self,
+            points=self.points / extent,
+            unit=self.unit * extent,
+            given_up=self.up,
             views=tuple(
-                replace(v, camera=replace(v.camera, translation=v.camera.translation / extent))
-                for v in self.views))
+                replace(v, camera=replace(v.camera, translation=v.camera.translation / extent)) for v in self.views
+            ),
+        )
 
     def __repr__(self) -> str:
-        return (f"<clsplat.Scene {self.name!r}: {len(self.views)} views, "
-                f"{len(self.points):,} points>")
+        return f"<clsplat.Scene {self.name!r}: {len(self.views)} views, {len(self.points):,} points>"
 
 
 def rows_by_view(view: NDArray[np.integer], views: int) -> list[NDArray[np.intp]]:

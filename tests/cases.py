@@ -72,24 +72,48 @@ def gaussians(name, seed=0, count=None, width=None, height=None):
     rows = _random_rows(rng, default_count if count is None else count, seen_by, stored)
     if name in _CHANGES:
         _CHANGES[name](rows, seen_by, rng)
-    return {"rows": single(rows), "camera": seen_by, "degree": degree, "near": NEAR,
-            "background": single(np.array([0.2, 0.5, 0.9]))}
+    return {
+        "rows": single(rows),
+        "camera": seen_by,
+        "degree": degree,
+        "near": NEAR,
+        "background": single(np.array([0.2, 0.5, 0.9])),
+    }
 
 
 def camera(width, height, turned=False):
     """A camera of some 60 degrees; turned: tilted, moved, off-centre and with unequal focals."""
     if not turned:
-        return {"width": width, "height": height, "fx": 0.875 * width, "fy": 0.875 * width,
-                "cx": width / 2, "cy": height / 2,
-                "rotation": np.eye(3), "translation": np.zeros(3)}
+        return {
+            "width": width,
+            "height": height,
+            "fx": 0.875 * width,
+            "fy": 0.875 * width,
+            "cx": width / 2,
+            "cy": height / 2,
+            "rotation": np.eye(3),
+            "translation": np.zeros(3),
+        }
     w, x, y, z = np.array([0.8, -0.3, 0.45, 0.26]) / np.linalg.norm([0.8, -0.3, 0.45, 0.26])
-    rotation = np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
-    return single({"width": width, "height": height, "fx": 0.9 * width, "fy": 1.1 * width,
-                   "cx": 0.43 * width, "cy": 0.61 * height,
-                   "rotation": rotation, "translation": np.array([0.7, -1.3, 0.4])})
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return single(
+        {
+            "width": width,
+            "height": height,
+            "fx": 0.9 * width,
+            "fy": 1.1 * width,
+            "cx": 0.43 * width,
+            "cy": 0.61 * height,
+            "rotation": rotation,
+            "translation": np.array([0.7, -1.3, 0.4]),
+        }
+    )
 
 
 def splats(count, width, height, seed=0, opacity=(0.05, 0.9), sigma=(0.6, 6.0)):
@@ -102,21 +126,21 @@ def splats(count, width, height, seed=0, opacity=(0.05, 0.9), sigma=(0.6, 6.0)):
     angle = rng.uniform(0, np.pi, count)
     cos, sin, u, v = np.cos(angle), np.sin(angle), major**-2.0, minor**-2.0
     depths = rng.uniform(1, 9, count)
-    return single({
-        "means": rng.uniform(-0.1, 1.1, (count, 2)) * [width, height],
-        "conics": np.stack([u * cos**2 + v * sin**2, (u - v) * cos * sin,
-                            u * sin**2 + v * cos**2], axis=1),
-        "opacities": rng.uniform(*opacity, count),
-        "colours": rng.uniform(0, 1, (count, 3)),
-        "depths": depths,
-    }), np.argsort(np.float32(depths), kind="stable")
+    return single(
+        {
+            "means": rng.uniform(-0.1, 1.1, (count, 2)) * [width, height],
+            "conics": np.stack([u * cos**2 + v * sin**2, (u - v) * cos * sin, u * sin**2 + v * cos**2], axis=1),
+            "opacities": rng.uniform(*opacity, count),
+            "colours": rng.uniform(0, 1, (count, 3)),
+            "depths": depths,
+        }
+    ), np.argsort(np.float32(depths), kind="stable")
 
 
 def mask(width, height, seed=0):
-    """bool[H, W], pixels that count: all but a rectangle at a corner and single ones; at least one.
-    """
+    """bool[H, W], pixels that count: all but a rectangle at a corner and single ones; at least one."""
     valid = np.random.default_rng([seed, 9]).random((height, width)) < 0.9
-    valid[:height // 3, :width // 2] = False
+    valid[: height // 3, : width // 2] = False
     valid[-1, -1] = True
     return valid
 
@@ -164,7 +188,7 @@ def _random_rows(rng, count, seen_by, stored_degree):
         "quaternions": rng.normal(0, 1, (count, 4)),
         "opacity_logits": rng.uniform(-4, 2, count),
         "sh_constant": rng.normal(0.3, 0.8, (count, 3)),
-        "sh_rest": rng.normal(0, 0.2, (count, (stored_degree + 1)**2 - 1, 3)),
+        "sh_rest": rng.normal(0, 0.2, (count, (stored_degree + 1) ** 2 - 1, 3)),
     }
 
 
@@ -215,8 +239,14 @@ def _grazing(rows, seen_by, rng):
 
 def _near_plane(rows, seen_by, rng):
     """In turn before, just before, on, just behind and behind the near plane, and at the camera."""
-    depths = [3.0, np.nextafter(np.float32(NEAR), np.float32(1)), NEAR,
-              np.nextafter(np.float32(NEAR), np.float32(0)), -3.0, 0.0]
+    depths = [
+        3.0,
+        np.nextafter(np.float32(NEAR), np.float32(1)),
+        NEAR,
+        np.nextafter(np.float32(NEAR), np.float32(0)),
+        -3.0,
+        0.0,
+    ]
     count = len(rows["positions"])
     rows["positions"][:, 2] = np.resize(depths, count)
     rows["positions"][:, :2] = rng.uniform(-0.03, 0.03, (count, 2))
@@ -232,8 +262,7 @@ def _quaternions(rows, seen_by, rng):
 def _opacities(rows, seen_by, rng):
     """Logits of +-40, and around alpha = 1/255."""
     count = len(rows["opacity_logits"])
-    rows["opacity_logits"] = np.resize([40, -40, np.log(1 / 254) + 0.01, np.log(1 / 254) - 0.01],
-                                       count).astype(float)
+    rows["opacity_logits"] = np.resize([40, -40, np.log(1 / 254) + 0.01, np.log(1 / 254) - 0.01], count).astype(float)
 
 
 def _depths(rows, seen_by, rng):
@@ -255,6 +284,16 @@ def edge_on(rows, seen_by, rng):
     rows["log_scales"] = np.log(np.array([3, 3, 3e-6]) * rows["positions"][:, 2:] / seen_by["fx"])
 
 
-_CHANGES = {"depths": _depths, "edge_on": edge_on, "stack": _stack, "needles": _needles,
-            "discs": _discs, "giants": _giants, "specks": _specks, "grazing": _grazing,
-            "near_plane": _near_plane, "quaternions": _quaternions, "opacities": _opacities}
+_CHANGES = {
+    "depths": _depths,
+    "edge_on": edge_on,
+    "stack": _stack,
+    "needles": _needles,
+    "discs": _discs,
+    "giants": _giants,
+    "specks": _specks,
+    "grazing": _grazing,
+    "near_plane": _near_plane,
+    "quaternions": _quaternions,
+    "opacities": _opacities,
+}

@@ -18,7 +18,8 @@ def close(actual, expected, precision, what):
     strange = np.argwhere(~(np.isfinite(actual) & finite) & ~_same(actual, expected))
     assert not len(strange), (
         f"{what}: {len(strange)} of {actual.size} not finite or wrongly finite, the first at "
-        f"{_index(strange[0])}: {_at(actual, strange[0])}, not {_at(expected, strange[0])}")
+        f"{_index(strange[0])}: {_at(actual, strange[0])}, not {_at(expected, strange[0])}"
+    )
     if not finite.any():
         return
     largest = np.abs(expected[finite]).max()
@@ -27,12 +28,12 @@ def close(actual, expected, precision, what):
     bad = error > allowed
     if bad.any():
         tiny = np.finfo(np.float64).tiny
-        worst = np.unravel_index(
-            np.argmax(np.where(bad, error / np.maximum(allowed, tiny), 0)), error.shape)
+        worst = np.unravel_index(np.argmax(np.where(bad, error / np.maximum(allowed, tiny), 0)), error.shape)
         raise AssertionError(
             f"{what} ({precision}): {bad.sum()} of {error.size} differ, the worst at "
             f"{_index(worst)}: {actual[worst]:.9g}, not {expected[worst]:.9g}, off by "
-            f"{error[worst]:.3g} where {allowed[worst]:.3g} is allowed")
+            f"{error[worst]:.3g} where {allowed[worst]:.3g} is allowed"
+        )
 
 
 def adjoint_agrees(function, adjoint, point, seed=0, relative=1e-6, step=1e-6, what="adjoint"):
@@ -55,8 +56,7 @@ def adjoint_agrees(function, adjoint, point, seed=0, relative=1e-6, step=1e-6, w
         # each element by its own size: a step that is small for one row may be large for another
         scale = np.abs(value) + (0.01 * np.sqrt(np.mean(np.square(value))) if np.any(value) else 1)
         direction = scale * rng.normal(size=np.shape(value))
-        near, far = (weighted(name, direction, k * step) - weighted(name, direction, -k * step)
-                     for k in (1, 2))
+        near, far = (weighted(name, direction, k * step) - weighted(name, direction, -k * step) for k in (1, 2))
         by_difference = (8 * near - far) / (12 * step)
         terms = grads[name] * direction
         by_adjoint = np.sum(terms)
@@ -64,7 +64,8 @@ def adjoint_agrees(function, adjoint, point, seed=0, relative=1e-6, step=1e-6, w
         assert abs(by_difference - by_adjoint) <= relative * size, (
             f"{what}, seed {seed}: along {name} the difference quotient is {by_difference:.12g}, "
             f"the adjoint gives {by_adjoint:.12g} (relative to {size:.3g}: "
-            f"{abs(by_difference - by_adjoint) / size:.2g})")
+            f"{abs(by_difference - by_adjoint) / size:.2g})"
+        )
 
 
 def _same(actual, expected):

@@ -39,15 +39,24 @@ POCL, SIMULATOR = "Portable Computing Language", "Oclgrind"
 def pytest_generate_tests(metafunc):
     for name, (forms, precisions) in FIXTURES.items():
         if name in metafunc.fixturenames:
-            combinations = [(entry, form, precision) for entry in _entries()
-                            for form in forms for precision in precisions
-                            if _is_worth_it(entry, precision)]
+            combinations = [
+                (entry, form, precision)
+                for entry in _entries()
+                for form in forms
+                for precision in precisions
+                if _is_worth_it(entry, precision)
+            ]
             marks = [pytest.mark.slow]  # float is quick to tell of a fault
             if not metafunc.definition.get_closest_marker("double"):
                 marks.append(pytest.mark.nightly)
-            metafunc.parametrize(name, [
-                pytest.param(each, marks=marks if each[2:] == precisions[1:] else (),
-                             id=_label(each)) for each in combinations], indirect=True)
+            metafunc.parametrize(
+                name,
+                [
+                    pytest.param(each, marks=marks if each[2:] == precisions[1:] else (), id=_label(each))
+                    for each in combinations
+                ],
+                indirect=True,
+            )
 
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
@@ -95,9 +104,9 @@ def _entries():
     if wanted == "all":
         return entries or ("no OpenCL platform is installed",)
     if wanted:
-        return tuple(entry for entry in working
-                     if wanted.lower() in f"{entry.platform} {entry.name}".lower()) or (
-            f"no working device matches CLSPLAT_TEST_DEVICES={wanted}",)
+        return tuple(entry for entry in working if wanted.lower() in f"{entry.platform} {entry.name}".lower()) or (
+            f"no working device matches CLSPLAT_TEST_DEVICES={wanted}",
+        )
     if pocl or working and not _is_ci():
         return (pocl or working)[:1]
     reasons = [f"{entry.platform} {entry.name}: {entry.reason}" for entry in entries]
@@ -149,6 +158,7 @@ class ExactBuffers:
         import pyopencl as cl  # clsplat.device must be the first to import it
 
         from clsplat.device.array import Block
+
         return Block(cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size), lambda buffer: None)
 
 
@@ -174,6 +184,7 @@ def once(tmp_path_factory):
                 make(root / name)
                 (root / f"{name}.done").touch()
         return root / name
+
     return made
 
 
@@ -183,8 +194,7 @@ def levelled(once, item_device, city):
     from clsplat.io.runs.run import RunFolder
     from tests.data.tiny_training import LEVELLED, trained
 
-    return RunFolder.open(once("levelled", lambda folder: trained(
-        folder, city, item_device, **LEVELLED)))
+    return RunFolder.open(once("levelled", lambda folder: trained(folder, city, item_device, **LEVELLED)))
 
 
 @pytest.fixture(scope="session")
@@ -193,8 +203,7 @@ def eventful(once, item_device, city):
     from clsplat.io.runs.run import RunFolder
     from tests.data.tiny_training import trained
 
-    return RunFolder.open(once("eventful", lambda folder: trained(
-        folder, city, item_device, eval_every=50)))
+    return RunFolder.open(once("eventful", lambda folder: trained(folder, city, item_device, eval_every=50)))
 
 
 @pytest.fixture

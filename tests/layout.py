@@ -11,9 +11,22 @@ from pathlib import Path, PurePosixPath
 
 ROOT = Path(__file__).resolve().parents[1]
 
-TOP_LEVEL = {"setup.cfg", "pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md",
-             "CONTRIBUTING.md", "CITATION.cff", "MANIFEST.in", "clsplat", "cl", "tools", "tests",
-             "data_samples", "docs"}
+TOP_LEVEL = {
+    "setup.cfg",
+    "pyproject.toml",
+    "README.md",
+    "LICENSE",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "CITATION.cff",
+    "MANIFEST.in",
+    "clsplat",
+    "cl",
+    "tools",
+    "tests",
+    "data_samples",
+    "docs",
+}
 BUILD_OUTPUTS = {"out", "build", "dist", "clsplat.egg-info", "__pycache__"}
 
 # a module imports from its own package and from the lines above its own
@@ -42,26 +55,62 @@ LAYERS = (
     {"cli"},
     {"__main__"},
 )
-NOUNS = {"__init__", "__main__", "camera", "constants", "errors", "gaussians", "georeference",
-         "options", "response", "scene"}
+NOUNS = {
+    "__init__",
+    "__main__",
+    "camera",
+    "constants",
+    "errors",
+    "gaussians",
+    "georeference",
+    "options",
+    "response",
+    "scene",
+}
 LAYER_OF = {unit: number for number, units in enumerate(LAYERS) for unit in units}
 
 # tested without OpenCL, though they stand above the device layer
-NO_DEVICE = {"camera", "config", "options", "gaussians", "georeference", "placement", "response",
-             "scene", "covisibility", "schedule", "partition", "report"}
+NO_DEVICE = {
+    "camera",
+    "config",
+    "options",
+    "gaussians",
+    "georeference",
+    "placement",
+    "response",
+    "scene",
+    "covisibility",
+    "schedule",
+    "partition",
+    "report",
+}
 
 # rooms that use what the public API is made of, and these; `training` for the page that shows one
-USED_BY_APPS = {"camera", "constants", "device", "edit", "errors", "evaluation", "gaussians",
-                "georeference", "io", "mesh", "partition", "placement", "rendering", "report",
-                "scene", "training"}
+USED_BY_APPS = {
+    "camera",
+    "constants",
+    "device",
+    "edit",
+    "errors",
+    "evaluation",
+    "gaussians",
+    "georeference",
+    "io",
+    "mesh",
+    "partition",
+    "placement",
+    "rendering",
+    "report",
+    "scene",
+    "training",
+}
 
 # package -> the only folders that may import it
 WALLS = {
     "pyopencl": ("clsplat/device/",),
     "pycolmap": ("clsplat/io/", "clsplat/sfm/", "tools/studies/"),
     "rasterio": ("clsplat/apps/geotiff.py", "tools/"),
-    **dict.fromkeys(("laspy", "lazrs", "pxr", "zstandard", "PIL", "pillow_heif", "rawpy"),
-                    ("clsplat/io/",)),
+    **dict.fromkeys(("laspy", "lazrs", "pxr", "zstandard", "PIL", "pillow_heif", "rawpy"), ("clsplat/io/",)),
     "pyproj": ("clsplat/io/georeference/crs.py",),
     "OpenImageIO": ("clsplat/io/", "clsplat/evaluation/metrics.py"),
     "onnxruntime": ("clsplat/evaluation/metrics.py",),
@@ -73,11 +122,14 @@ WALLS = {
 }
 
 # imports inside functions: folder -> packages (None: any). Start-up is worth it in these only
-FUNCTION_IMPORTS = {"clsplat/": {"importlib"}, "clsplat/cli/": None, "clsplat/__main__.py": None,
-                    "clsplat/io/": {"laspy", "lazrs", "numpy", "pxr", "pycolmap", "OpenImageIO",
-                                    "pyproj", "zstandard", "PIL"},
-                    "clsplat/evaluation/": {"OpenImageIO", "onnxruntime"},
-                    "clsplat/cities/cluster.py": {"distributed"}}  # an extra, seldom asked for
+FUNCTION_IMPORTS = {
+    "clsplat/": {"importlib"},
+    "clsplat/cli/": None,
+    "clsplat/__main__.py": None,
+    "clsplat/io/": {"laspy", "lazrs", "numpy", "pxr", "pycolmap", "OpenImageIO", "pyproj", "zstandard", "PIL"},
+    "clsplat/evaluation/": {"OpenImageIO", "onnxruntime"},
+    "clsplat/cities/cluster.py": {"distributed"},
+}  # an extra, seldom asked for
 
 # what is composed of the options of all rooms: lower rooms may name its type, and no more
 COMPOSED = {"options"}
@@ -103,6 +155,7 @@ def sources(root, *folders, suffixes=(".py",)):
 def imports(path):
     """(line, dotted name, place) of each import; relative ones as ".name". The place is "function",
     "types" (for the type checker alone) or "module"."""
+
     def visit(node, place):
         if isinstance(node, ast.Import):
             for alias in node.names:
@@ -121,6 +174,7 @@ def imports(path):
         for child in ast.iter_child_nodes(node):
             if not isinstance(child, ast.expr):  # of which none imports
                 yield from visit(child, place)
+
     return tuple(visit(parsed(path), "module"))
 
 
@@ -187,10 +241,8 @@ def function_imports(root):
                 yield f"{name}:{line}: import scipy as a whole, not {target}"
             if place != "function":
                 continue
-            allowed = [packages for folder, packages in FUNCTION_IMPORTS.items()
-                       if name.startswith(folder)]
-            if not any(packages is None or target.split(".")[0] in packages
-                       for packages in allowed):
+            allowed = [packages for folder, packages in FUNCTION_IMPORTS.items() if name.startswith(folder)]
+            if not any(packages is None or target.split(".")[0] in packages for packages in allowed):
                 yield f"{name}:{line}: {target} is imported inside a function"
 
 
@@ -204,8 +256,9 @@ BENCHMARKS = "tools/bench/*families.py"
 
 def homes(root, family):
     """The modules that may declare a family's kernels: there should be one."""
-    return [name for name, home in sources(root, "clsplat")
-            if home.stem == family and not name.startswith("clsplat/cli/")]
+    return [
+        name for name, home in sources(root, "clsplat") if home.stem == family and not name.startswith("clsplat/cli/")
+    ]
 
 
 def rhyme(root):
@@ -239,21 +292,29 @@ def kernel_forms(root):
 def form_branches(root):
     """Only the device layer asks for a kernel's form: what differs is data (device.Forms)."""
     for name, path in sources(root, "clsplat"):
-        if name.startswith("clsplat/device/") or not re.search(
-                r"\bform\b|\bitem\b|\bgroup\b", path.read_text("utf-8")):
+        if name.startswith("clsplat/device/") or not re.search(r"\bform\b|\bitem\b|\bgroup\b", path.read_text("utf-8")):
             continue
         for node in ast.walk(parsed(path)):
-            asked = ([node.left, *node.comparators] if isinstance(node, ast.Compare) else
-                     [node.slice] if isinstance(node, ast.Subscript) else [])
-            if any(isinstance(each, ast.Attribute) and each.attr == "form" or
-                   isinstance(each, ast.Constant) and each.value in ("item", "group") and
-                   isinstance(node, ast.Compare) for each in asked):
+            asked = (
+                [node.left, *node.comparators]
+                if isinstance(node, ast.Compare)
+                else [node.slice]
+                if isinstance(node, ast.Subscript)
+                else []
+            )
+            if any(
+                isinstance(each, ast.Attribute)
+                and each.attr == "form"
+                or isinstance(each, ast.Constant)
+                and each.value in ("item", "group")
+                and isinstance(node, ast.Compare)
+                for each in asked
+            ):
                 yield f"{name}:{node.lineno}: asks for the form; declare it as device.Forms"
 
 
 def sizes(root):
-    for name, path in sources(root, "clsplat", "cl", "tools", "tests",
-                              suffixes=(".py", ".cl", ".h")):
+    for name, path in sources(root, "clsplat", "cl", "tools", "tests", suffixes=(".py", ".cl", ".h")):
         count = len(path.read_text().splitlines())
         if count > LONGEST_FILE and (path.suffix != ".py" or real_lines(path) > LONGEST_CODE):
             yield f"{name}: {count} lines, more than {LONGEST_FILE}"
@@ -265,8 +326,10 @@ def real_lines(path):
     for node in ast.walk(tree):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
             docs.update(range(node.lineno, node.end_lineno + 1))
-    return sum(bool(line.strip()) and not line.lstrip().startswith("#") and number not in docs
-               for number, line in enumerate(path.read_text("utf-8").splitlines(), 1))
+    return sum(
+        bool(line.strip()) and not line.lstrip().startswith("#") and number not in docs
+        for number, line in enumerate(path.read_text("utf-8").splitlines(), 1)
+    )
 
 
 def names(root):
@@ -288,8 +351,9 @@ def packaging(root):
     patterns = setup.get("options.package_data", "clsplat.cl", fallback="").split(", ")
     for path in sorted(path for path in (root / "cl").rglob("*") if path.is_file()):
         name = path.relative_to(root / "cl").as_posix()
-        if not any(PurePosixPath(name).match(pattern) and name.count("/") == pattern.count("/")
-                   for pattern in patterns):
+        if not any(
+            PurePosixPath(name).match(pattern) and name.count("/") == pattern.count("/") for pattern in patterns
+        ):
             yield f"setup.cfg: the wheel lacks cl/{name}"
 
 
@@ -307,10 +371,26 @@ def sessions(root):
     called = re.compile("|".join(BUILT_BY_A_SESSION))
     for name, path in sources(root, "clsplat"):
         for node in ast.walk(parsed(path)) if called.search(path.read_text("utf-8")) else ():
-            if (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-                    and node.func.id in BUILT_BY_A_SESSION and name != SESSION):
+            if (
+                isinstance(node, ast.Call)
+                and isinstance(node.func, ast.Name)
+                and node.func.id in BUILT_BY_A_SESSION
+                and name != SESSION
+            ):
                 yield f"{name}:{node.lineno}: {node.func.id} is built in {SESSION} only"
 
 
-CHECKS = (layers, corridor, walls, sessions, function_imports, rhyme, kernel_forms, form_branches,
-          sizes, names, packaging, top_level)
+CHECKS = (
+    layers,
+    corridor,
+    walls,
+    sessions,
+    function_imports,
+    rhyme,
+    kernel_forms,
+    form_branches,
+    sizes,
+    names,
+    packaging,
+    top_level,
+)

@@ -18,7 +18,7 @@ def share():
     opened, works, build = cl.Context, capabilities._works, device_module.build
 
     def context(devices):
-        handle, = devices
+        (handle,) = devices
         if handle not in OPENED:
             OPENED[handle] = opened(devices)
         return OPENED[handle]

@@ -9,12 +9,16 @@ CAMERA = Camera.looking_at((0, 0, 0), (1, 2, 3), width=64, height=48)
 POINTS = np.random.default_rng(0).uniform(-0.5, 0.5, (9, 3))
 
 
-@pytest.mark.parametrize("camera, scale, shift", [
-    (CAMERA.resized(32, 12), (0.5, 0.25), (0, 0)),
-    (CAMERA.cropped(10, 4, 50, 40), (1, 1), (10, 4)),
-    (CAMERA.cropped(10, 4, 50, 40).resized(20, 18), (0.5, 0.5), (10, 4)),
-    (CAMERA.reduced(1, 16), (0.25, 0.25), (0, 0)),
-    (CAMERA.cropped(10, 4, 50, 40).reduced(1, 16), (0.25, 0.25), (10, 4))])
+@pytest.mark.parametrize(
+    "camera, scale, shift",
+    [
+        (CAMERA.resized(32, 12), (0.5, 0.25), (0, 0)),
+        (CAMERA.cropped(10, 4, 50, 40), (1, 1), (10, 4)),
+        (CAMERA.cropped(10, 4, 50, 40).resized(20, 18), (0.5, 0.5), (10, 4)),
+        (CAMERA.reduced(1, 16), (0.25, 0.25), (0, 0)),
+        (CAMERA.cropped(10, 4, 50, 40).reduced(1, 16), (0.25, 0.25), (10, 4)),
+    ],
+)
 def test_pixels_of_other_images(camera, scale, shift):
     pixels, depths = CAMERA.project(POINTS)
     found, same = camera.project(POINTS)

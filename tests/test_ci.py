@@ -27,8 +27,9 @@ def loaded(path):
 
 
 def test_every_requirement_has_a_lowest_version_and_ci_installs_it():
-    done = subprocess.run([sys.executable, ROOT / ".ci/requirements", "lowest"], check=False,
-                          capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, ROOT / ".ci/requirements", "lowest"], check=False, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     pinned = dict(re.findall(r"(?m)^([\w.-]+)==([\w.]+)", done.stdout))
     lists = [CONFIG["options"]["install_requires"], *CONFIG["options.extras_require"].values()]
@@ -80,8 +81,11 @@ def test_a_release_is_refused_with_its_cause(release, tmp_path):
     refused("0.2.0 is asked for, .* has 0.1.0, .* 0.1.0", "0.2.0")
     release.git("tag", "v0.1.0")
     release.check("0.1.0")  # in CI the tag is there
-    for text, word in (("0.2.0 (2026-12-01)", "CHANGELOG.md 0.2.0"),
-                       ("0.1.0 (unreleased)", "write its date"), ("0.1.0 (2026-12-02)", "commit")):
+    for text, word in (
+        ("0.2.0 (2026-12-01)", "CHANGELOG.md 0.2.0"),
+        ("0.1.0 (unreleased)", "write its date"),
+        ("0.1.0 (2026-12-02)", "commit"),
+    ):
         (tmp_path / "CHANGELOG.md").write_text(f"# Changelog\n\n## {text}\n")
         refused(word)
     release.git("commit", "--quiet", "-am", "later")
@@ -100,8 +104,15 @@ def test_the_recipe_of_conda_asks_for_what_setup_cfg_does():
 @pytest.mark.parametrize("name", ["Containerfile", "clsplat.def"])
 def test_a_container_has_what_a_wheel_is_built_of(name):
     recipe = (ROOT / "tools/packaging" / name).read_text("utf-8")
-    needed = {"setup.cfg", "pyproject.toml", "README.md", "LICENSE", "clsplat", "cl",
-              *(ROOT / "MANIFEST.in").read_text("utf-8").partition("\n")[0].split()[1:]}
+    needed = {
+        "setup.cfg",
+        "pyproject.toml",
+        "README.md",
+        "LICENSE",
+        "clsplat",
+        "cl",
+        *(ROOT / "MANIFEST.in").read_text("utf-8").partition("\n")[0].split()[1:],
+    }
     copied = {word for line in recipe.splitlines() if "/src/" in line for word in line.split()}
     assert needed <= copied and all((ROOT / each).exists() for each in needed)
 
@@ -147,24 +158,31 @@ def test_a_command_of_readme_that_fails_is_named(readme, tmp_path, monkeypatch, 
     assert not (tmp_path / "clsplat/never").exists()
 
 
-@pytest.mark.parametrize("rows, passes", [
-    (["*  0  cpu   Xeon  Intel(R) OpenCL  works"], True),
-    (["   0  cpu   Xeon  Portable Computing Language  works"], False),
-    (["   0  cpu   Xeon  Portable Computing Language  works",
-      "*  1  cpu   Xeon  Intel(R) OpenCL  works"], False),
-    (["*  0  cpu   Xeon  Intel(R) OpenCL  works", "   1  -     -  rusticl  does not work"], False),
-    ([], False)])
+@pytest.mark.parametrize(
+    "rows, passes",
+    [
+        (["*  0  cpu   Xeon  Intel(R) OpenCL  works"], True),
+        (["   0  cpu   Xeon  Portable Computing Language  works"], False),
+        (["   0  cpu   Xeon  Portable Computing Language  works", "*  1  cpu   Xeon  Intel(R) OpenCL  works"], False),
+        (["*  0  cpu   Xeon  Intel(R) OpenCL  works", "   1  -     -  rusticl  does not work"], False),
+        ([], False),
+    ],
+)
 def test_a_bare_clone_must_see_one_runtime(tmp_path, rows, passes):
     """Before any test runs there."""
-    for name, text in {".ci/bare": (ROOT / ".ci/bare").read_text(), "tools/test": "echo tests $@",
-                       ".venv/bin/clsplat": "cat ../rows"}.items():
+    for name, text in {
+        ".ci/bare": (ROOT / ".ci/bare").read_text(),
+        "tools/test": "echo tests $@",
+        ".venv/bin/clsplat": "cat ../rows",
+    }.items():
         path = tmp_path / "clone" / name
         path.parent.mkdir(parents=True)
         path.write_text(text if name == ".ci/bare" else f"#!/bin/sh\n{text}\n", encoding="utf-8")
         path.chmod(0o755)
     (tmp_path / "rows").write_text("\n".join(["   #  type", *rows, "      note", "* is auto"]))
-    done = subprocess.run([tmp_path / "clone/.ci/bare", "Intel(R) OpenCL", "-q"], check=False,
-                          capture_output=True, text=True)
+    done = subprocess.run(
+        [tmp_path / "clone/.ci/bare", "Intel(R) OpenCL", "-q"], check=False, capture_output=True, text=True
+    )
     assert (done.returncode == 0, "tests -q" in done.stdout) == (passes, passes), done.stdout
 
 

@@ -23,20 +23,19 @@ def test_kernels_use_each_number_and_do_not_repeat_it(name):
 def test_no_module_repeats_a_name_of_the_table():
     assigned = re.compile(r"(?m)^ *((?:[A-Z_0-9]+, )*[A-Z_0-9]+)(?:: [^=\n]+)? = ")
     for name, path in sources(ROOT, "clsplat", "tools"):
-        found = {each for names in assigned.findall(path.read_text("utf-8"))
-                 for each in names.split(", ")}
+        found = {each for names in assigned.findall(path.read_text("utf-8")) for each in names.split(", ")}
         assert not found & SHARED.keys() or name == "clsplat/constants.py", name
 
 
 def test_kernels_see_the_very_numbers(device, tmp_path):
     lines = [f"values[{place}] = {name};" for place, name in enumerate(SHARED)]
     file = tmp_path / "numbers.cl"
-    file.write_text(f'''#include "real.h"
+    file.write_text(f"""#include "real.h"
 __kernel void numbers(__global real *values)
 {{
     {" ".join(lines)}
 }}
-''')
+""")
     kernel = Kernel(str(file), "numbers", items("1"), values=("real", len(SHARED)))
     values = device.empty(len(SHARED))
     device.launch(kernel, values=values)

@@ -24,19 +24,20 @@ def test_every_page_is_in_the_navigation():
     listed = re.findall(r"(?m)^ +- [^:\n]+: (\S+\.md)$", SETTINGS.partition("\nnav:\n")[2])
     there = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
     assert len(listed) == len(set(listed)) and set(listed) == there
-    linked = re.findall(r"\(((?:guide/|evidence/|design)[^)#]+)\)",
-                        (DOCS / "index.md").read_text("utf-8"))
+    linked = re.findall(r"\(((?:guide/|evidence/|design)[^)#]+)\)", (DOCS / "index.md").read_text("utf-8"))
     assert sorted(linked) == sorted(there - {"index.md"})
 
 
 def pictures(folder):
-    return [path for path in folder.rglob("*")
-            if path.suffix in (".png", ".jpg", ".gif", ".webp", ".svg")]
+    return [path for path in folder.rglob("*") if path.suffix in (".png", ".jpg", ".gif", ".webp", ".svg")]
 
 
 def test_every_picture_is_small_and_shown_with_words():
-    shown = {(path.parent / name).resolve() for path in (ROOT / "README.md", *DOCS.rglob("*.md"))
-             for name in re.findall(r"!\[[^\]]{10,}\]\(([^)]+)\)", path.read_text("utf-8"))}
+    shown = {
+        (path.parent / name).resolve()
+        for path in (ROOT / "README.md", *DOCS.rglob("*.md"))
+        for name in re.findall(r"!\[[^\]]{10,}\]\(([^)]+)\)", path.read_text("utf-8"))
+    }
     assert shown == set(pictures(DOCS))
     guide = [path.stat().st_size for path in pictures(DOCS / "guide")]
     assert max(guide) <= 150_000 and sum(guide) <= 1_200_000
@@ -44,8 +45,10 @@ def test_every_picture_is_small_and_shown_with_words():
 
 
 def test_the_page_of_the_design_names_files_that_are_there():
-    texts = [(DOCS / "design.md").read_text("utf-8"), *(
-        path.read_text("utf-8") for path in sorted((DOCS / "pictures").glob("*.svg")))]
+    texts = [
+        (DOCS / "design.md").read_text("utf-8"),
+        *(path.read_text("utf-8") for path in sorted((DOCS / "pictures").glob("*.svg"))),
+    ]
     names = set(re.findall(r"(?<![\w/.])((?:\w+/)+\w+\.(?:py|cl))\b", " ".join(texts)))
     assert len(names) > 40
     places = (ROOT / "clsplat", ROOT / "clsplat" / "training", ROOT)
@@ -55,15 +58,14 @@ def test_the_page_of_the_design_names_files_that_are_there():
 def test_readme_begins_with_one_line_for_each_of_its_two_jobs_and_has_no_placeholder():
     text = (ROOT / "README.md").read_text("utf-8")
     blocks = re.findall(r"(?ms)^```\w*\n(.*?)^```", text)
-    assert [line.split("#")[0].strip() for line in blocks[0].splitlines()] == [
-        "tools/quickstart", "tools/test"]
+    assert [line.split("#")[0].strip() for line in blocks[0].splitlines()] == ["tools/quickstart", "tools/test"]
     assert not re.search(r"\b[A-Z]{3,}\b", "".join(blocks)), "a word to be replaced"
 
 
 def test_the_search_works_from_a_disk_without_the_network():
     """The plugin `offline` takes a shim of this name in place of one from the network."""
     assert re.search(r"(?m)^  - offline\b", SETTINGS)
-    shim, = re.findall(r"polyfills: \[(\S*iframe-worker\S*)\]", SETTINGS)
+    (shim,) = re.findall(r"polyfills: \[(\S*iframe-worker\S*)\]", SETTINGS)
     assert "window.Worker=" in (DOCS / shim).read_text("utf-8")
 
 
@@ -81,8 +83,7 @@ def test_examples_shown_are_the_files_that_tests_run():
 
 
 def test_files_md_names_every_key_of_the_metrics(item_device, tmp_path):
-    options = clsplat.TrainOptions(iterations=60, downscale=8, densify_from=10, densify_every=20,
-                                   schedule="constant")
+    options = clsplat.TrainOptions(iterations=60, downscale=8, densify_from=10, densify_every=20, schedule="constant")
     run = clsplat.train(CITY, options, output=tmp_path / "run", device=item_device)
     said = set(re.findall(r"`(\w+)`", page("files.md").partition("## metrics.jsonl")[2]))
     events = {record["event"] for record in run.metrics}

@@ -39,8 +39,7 @@ def test_twins_that_differ_by_rounding_do_not_make_it_infinite():
     """As in a model merged with its like: the nearest point that is another counts."""
     twins = np.concatenate([POINTS, POINTS * (1 + 1e-12)])
     assert mean_inverse_distance(twins) == pytest.approx(mean_inverse_distance(POINTS))
-    assert mean_inverse_distance(twins[:63]) == pytest.approx(
-        (1 / all_pairs(POINTS)[[*range(60), 0, 1, 2], 0]).mean())
+    assert mean_inverse_distance(twins[:63]) == pytest.approx((1 / all_pairs(POINTS)[[*range(60), 0, 1, 2], 0]).mean())
     size = np.linalg.norm(np.ptp(POINTS, axis=0))
     least = mean_neighbour_distance(twins, 1).min()
     assert 0.99e-7 * size < least < 1.01e-7 * size
@@ -51,8 +50,7 @@ def test_too_few_points():
     assert mean_neighbour_distance(pair, 2).tolist() == [5, 5, 5]
     assert neighbour_distance(pair).tolist() == [5, 5, 5]  # of as many as there are
     assert mean_inverse_distance(pair) == 0.2
-    for distances in (lambda p: mean_neighbour_distance(p, 1), neighbour_distance,
-                      mean_inverse_distance):
+    for distances in (lambda p: mean_neighbour_distance(p, 1), neighbour_distance, mean_inverse_distance):
         with pytest.raises(InputError, match="3 points all lie at one place"):
             distances(np.ones((3, 3)))
 

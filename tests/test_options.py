@@ -28,6 +28,7 @@ def toml(tmp_path):
         path = tmp_path / "run.toml"
         path.write_text(text)
         return path
+
     return write
 
 
@@ -67,8 +68,13 @@ def another(field):
         return (0.5, 0.25, 1.0), [flag, "0.5", "0.25", "1.0"]
     if field.type is str:
         return "text", [flag, "text"]
-    value = field.type(meta["maximum"] if meta["maximum"] not in (None, default) else
-                       meta["minimum"] if meta["maximum"] == default else 5)
+    value = field.type(
+        meta["maximum"]
+        if meta["maximum"] not in (None, default)
+        else meta["minimum"]
+        if meta["maximum"] == default
+        else 5
+    )
     return value, [flag, str(value)]
 
 
@@ -85,11 +91,13 @@ def test_an_option_s_flag_if_it_has_one_and_its_key_agree(name, toml):
         assert parse(*arguments)[0] == {name: value}
     else:
         assert refused(lambda: invoke(*arguments)) == (
-            f"{arguments[0]}: is a key of the file of --config and no flag; write {name} = VALUE "
-            "there")
-    written = {True: "true", False: "false"}.get(value) if isinstance(value, bool) else (
-        f'"{value}"' if isinstance(value, str) else str(list(value))
-        if isinstance(value, tuple) else str(value))
+            f"{arguments[0]}: is a key of the file of --config and no flag; write {name} = VALUE there"
+        )
+    written = (
+        {True: "true", False: "false"}.get(value)
+        if isinstance(value, bool)
+        else (f'"{value}"' if isinstance(value, str) else str(list(value)) if isinstance(value, tuple) else str(value))
+    )
     for key in (name, name.replace("_", "-")):
         assert from_toml(toml(f"{key} = {written}")) == {name: value}
     around = {} if name == "schedule" else {"schedule": serving(name)[0]}
@@ -98,12 +106,17 @@ def test_an_option_s_flag_if_it_has_one_and_its_key_agree(name, toml):
 
 def test_few_functions_take_all_options():
     """Others take the group that they read; see `ScheduledOptions`."""
-    found = [function.name for path in (ROOT / "clsplat").rglob("*.py")
-             if "TrainOptions" in (text := path.read_text("utf-8"))
-             for function in ast.walk(ast.parse(text))
-             if isinstance(function, ast.FunctionDef)
-             and any(argument.annotation and "TrainOptions" in ast.unparse(argument.annotation)
-                     for argument in (*function.args.args, *function.args.kwonlyargs))]
+    found = [
+        function.name
+        for path in (ROOT / "clsplat").rglob("*.py")
+        if "TrainOptions" in (text := path.read_text("utf-8"))
+        for function in ast.walk(ast.parse(text))
+        if isinstance(function, ast.FunctionDef)
+        and any(
+            argument.annotation and "TrainOptions" in ast.unparse(argument.annotation)
+            for argument in (*function.args.args, *function.args.kwonlyargs)
+        )
+    ]
     assert "prepare" in found and len(found) <= 15, found
 
 
@@ -129,25 +142,35 @@ def test_help_has_each_group_once_with_defaults():
 
 def test_a_training_has_at_most_42_flags():
     shared = {"--help", "--help-all", "--traceback"}
-    assert sum(option.opts[-1] not in shared for option in main.commands["train"].params
-               if isinstance(option, click.Option)) <= 42
+    assert (
+        sum(
+            option.opts[-1] not in shared
+            for option in main.commands["train"].params
+            if isinstance(option, click.Option)
+        )
+        <= 42
+    )
 
 
-@pytest.mark.parametrize("text, message", [
-    ("iteration = 5", "unknown option 'iteration'"),
-    ("iterations = 2.5", "'iterations' expects auto or a whole number of at least 1, got 2.5"),
-    ("iterations = true", "'iterations' expects auto or a whole number of at least 1, got True"),
-    ("iterations = 0", "'iterations' expects auto or a whole number of at least 1, got 0"),
-    ("sh_degree = 4", "'sh-degree' expects a whole number from 0 to 3, got 4"),
-    ("ssim-weight = nan", "'ssim-weight' expects a number from 0 to 1"),
-    ("engine = 'gpu'", "'engine' expects one of auto, device, coded, numpy"),
-    ("background = [1, 1]", "'background' expects three numbers"),
-    ("iterations = ", "not valid TOML"), ("downscale = inf", "'downscale' expects a finite number"),
-    ("background = 7", "option 'background' expects three numbers from 0 to 1, got "),
-    ("background = ['a', 'b', 'c']", "'background' expects three numbers from 0 to 1"),
-    ("background = [0, 0, 1.5]", "'background' expects three numbers from 0 to 1"),
-    ("grow_threshold = inf", "'grow-threshold' expects a finite number"),
-])
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("iteration = 5", "unknown option 'iteration'"),
+        ("iterations = 2.5", "'iterations' expects auto or a whole number of at least 1, got 2.5"),
+        ("iterations = true", "'iterations' expects auto or a whole number of at least 1, got True"),
+        ("iterations = 0", "'iterations' expects auto or a whole number of at least 1, got 0"),
+        ("sh_degree = 4", "'sh-degree' expects a whole number from 0 to 3, got 4"),
+        ("ssim-weight = nan", "'ssim-weight' expects a number from 0 to 1"),
+        ("engine = 'gpu'", "'engine' expects one of auto, device, coded, numpy"),
+        ("background = [1, 1]", "'background' expects three numbers"),
+        ("iterations = ", "not valid TOML"),
+        ("downscale = inf", "'downscale' expects a finite number"),
+        ("background = 7", "option 'background' expects three numbers from 0 to 1, got "),
+        ("background = ['a', 'b', 'c']", "'background' expects three numbers from 0 to 1"),
+        ("background = [0, 0, 1.5]", "'background' expects three numbers from 0 to 1"),
+        ("grow_threshold = inf", "'grow-threshold' expects a finite number"),
+    ],
+)
 def test_a_wrong_file_is_one_line_that_names_it(text, message, toml):
     path = toml(text)
     assert refused(lambda: resolve(from_toml(path), {}), message).startswith(f"{path}: ")
@@ -155,8 +178,8 @@ def test_a_wrong_file_is_one_line_that_names_it(text, message, toml):
 
 def test_choices_set_what_there_is_to_legal_values():
     tables = [("schedule", name, schedule_of(name).defaults) for name in OURS] + [
-        (name, value, table) for name, field in FIELDS.items()
-        for value, table in field.metadata["sets"].items()]
+        (name, value, table) for name, field in FIELDS.items() for value, table in field.metadata["sets"].items()
+    ]
     assert len(tables) >= 9
     assert all({**OF_SIG, "exposure": "off"}.items() <= table.items() for table in (PAPER, RELEASE))
     for choice, value, chosen in tables:
@@ -166,40 +189,70 @@ def test_choices_set_what_there_is_to_legal_values():
             assert other != FIELDS[name].default, (choice, value, name)
 
 
-@pytest.mark.parametrize("given, chosen", [
-    ({"schedule": "constant"}, {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05,
-                                "prune_size": 0.1, **OF_SIG}),
-    ({"schedule": "dash"}, {"reset_every": 3000, "exposure": "off", **OF_SIG}),
-    ({"schedule": "taming"}, {"reset_every": 3000, "exposure": "off", "prune_size": 0.1, **OF_SIG}),
-    ({"schedule": "mcmc"}, {"exposure": "off", "opacity_rate": 0.05, "position_noise": 5e5,
-                            "scale_weight": 0.01, "average": 0.0}),
-    ({"schedule": "sig"}, {}),
-    ({"preset": "paper"}, PAPER),
-    ({"preset": "release"}, RELEASE),
-    ({"size": "L"}, {"grow_threshold": 1.25e-4}),
-    ({"schedule": "constant", "size": "L"},
-     {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05, "prune_size": 0.1,
-      "grow_threshold": 1.25e-4, **OF_SIG}),
-])
+@pytest.mark.parametrize(
+    "given, chosen",
+    [
+        (
+            {"schedule": "constant"},
+            {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05, "prune_size": 0.1, **OF_SIG},
+        ),
+        ({"schedule": "dash"}, {"reset_every": 3000, "exposure": "off", **OF_SIG}),
+        ({"schedule": "taming"}, {"reset_every": 3000, "exposure": "off", "prune_size": 0.1, **OF_SIG}),
+        (
+            {"schedule": "mcmc"},
+            {"exposure": "off", "opacity_rate": 0.05, "position_noise": 5e5, "scale_weight": 0.01, "average": 0.0},
+        ),
+        ({"schedule": "sig"}, {}),
+        ({"preset": "paper"}, PAPER),
+        ({"preset": "release"}, RELEASE),
+        ({"size": "L"}, {"grow_threshold": 1.25e-4}),
+        (
+            {"schedule": "constant", "size": "L"},
+            {
+                "reset_every": 3000,
+                "exposure": "off",
+                "opacity_rate": 0.05,
+                "prune_size": 0.1,
+                "grow_threshold": 1.25e-4,
+                **OF_SIG,
+            },
+        ),
+    ],
+)
 def test_a_choice_sets_its_own_and_nothing_else(given, chosen):
     assert resolve({}, given) == TrainOptions(**given, **chosen)
     assert resolve(given, {}) == TrainOptions(**given, **chosen)
 
 
-@pytest.mark.parametrize("choice, own", [
-    ({"schedule": "constant"}, {"reset_every": 0}), ({"schedule": "dash"}, {"exposure": "auto"}),
-    ({"preset": "paper"}, {"densify_every": 0}), ({"size": "L"}, {"grow_threshold": 2e-4})])
+@pytest.mark.parametrize(
+    "choice, own",
+    [
+        ({"schedule": "constant"}, {"reset_every": 0}),
+        ({"schedule": "dash"}, {"exposure": "auto"}),
+        ({"preset": "paper"}, {"densify_every": 0}),
+        ({"size": "L"}, {"grow_threshold": 2e-4}),
+    ],
+)
 def test_what_is_given_wins_even_if_it_is_the_default(choice, own):
     for options in (resolve({}, {**choice, **own}), resolve(own, choice), resolve(choice, own)):
         for name, value in own.items():
             assert getattr(options, name) == value, name
 
 
-@pytest.mark.parametrize("given", [
-    {}, {"schedule": "constant"}, {"schedule": "dash"}, {"schedule": "taming"},
-    {"schedule": "mcmc"}, {"preset": "paper"}, {"preset": "release", "levels": (4, 1)},
-    {"size": "L"},
-    {"time_budget": "10m"}])
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"schedule": "constant"},
+        {"schedule": "dash"},
+        {"schedule": "taming"},
+        {"schedule": "mcmc"},
+        {"preset": "paper"},
+        {"preset": "release", "levels": (4, 1)},
+        {"size": "L"},
+        {"time_budget": "10m"},
+    ],
+)
 def test_a_run_s_record_gives_the_same_options_again(given):
     options = resolve({}, given)
     assert resolve(json.loads(json.dumps(dataclasses.asdict(options))), {}) == options
@@ -215,50 +268,64 @@ def test_an_option_of_another_schedule_is_refused(name, schedule):
         return
     assert refused(lambda: resolve({}, {"schedule": schedule, name: value})) == (
         f"{shown_name(field)}: has no effect with --schedule {schedule}; leave it out, or use "
-        f"--schedule {' or '.join(only)}")
+        f"--schedule {' or '.join(only)}"
+    )
     assert getattr(resolve({}, {"schedule": schedule, name: field.default}), name) == field.default
 
 
-@pytest.mark.parametrize("levels, shown", [
-    ((4, 2), "4,2"), ((1, 2, 4), "1,2,4"), ((4, 4, 1), "4,4,1"), ((2, 4, 1), "2,4,1"),
-    ((2.5, 1, 1), "2.5,1,1"), ((3,), "3")])
+@pytest.mark.parametrize(
+    "levels, shown",
+    [
+        ((4, 2), "4,2"),
+        ((1, 2, 4), "1,2,4"),
+        ((4, 4, 1), "4,4,1"),
+        ((2, 4, 1), "2,4,1"),
+        ((2.5, 1, 1), "2.5,1,1"),
+        ((3,), "3"),
+    ],
+)
 def test_levels_that_do_not(levels, shown):
     said = "expects auto or factors that fall and end at 1, such as 4,2,1"
-    assert refused(lambda: resolve({}, {"levels": levels})) == (
-        f"option 'levels' {said}, got {levels}")
+    assert refused(lambda: resolve({}, {"levels": levels})) == (f"option 'levels' {said}, got {levels}")
     assert refused(lambda: invoke("--levels", shown)) == f"--levels {shown}: {said}"
 
 
-@pytest.mark.parametrize("arguments, expected", [
-    (["--levels", "4,2,1"], {"levels": (4.0, 2.0, 1.0)}),
-    (["--levels", "4", "--levels", "2.5,1"], {"levels": (4.0, 2.5, 1.0)}),
-    (["--levels", "2, 1"], {"levels": (2.0, 1.0)})])
+@pytest.mark.parametrize(
+    "arguments, expected",
+    [
+        (["--levels", "4,2,1"], {"levels": (4.0, 2.0, 1.0)}),
+        (["--levels", "4", "--levels", "2.5,1"], {"levels": (4.0, 2.5, 1.0)}),
+        (["--levels", "2, 1"], {"levels": (2.0, 1.0)}),
+    ],
+)
 def test_lists_have_commas_or_come_in_parts(arguments, expected):
     found = parse(*arguments)[0]
     assert found == expected
     assert {name: [type(v) for v in values] for name, values in found.items()} == {
-        name: [type(v) for v in values] for name, values in expected.items()}
+        name: [type(v) for v in values] for name, values in expected.items()
+    }
 
 
-@pytest.mark.parametrize("text, seconds", [
-    ("90", 90), ("90s", 90), ("10m", 600), ("2h", 7200), ("1.5h", 5400), ("0.5", 0.5),
-    ("1e3", 1000)])
+@pytest.mark.parametrize(
+    "text, seconds", [("90", 90), ("90s", 90), ("10m", 600), ("2h", 7200), ("1.5h", 5400), ("0.5", 0.5), ("1e3", 1000)]
+)
 def test_seconds_of_a_time_budget(text, seconds):
     assert seconds_of(text) == seconds
     assert resolve({}, {"time_budget": text}).time_budget == text
 
 
-@pytest.mark.parametrize("text", ["0", "-5m", "m", "s", "10 minutes", "1h30m", "nan", "inf", "infh",
-                                  "2d", " ", "10M"])
+@pytest.mark.parametrize("text", ["0", "-5m", "m", "s", "10 minutes", "1h30m", "nan", "inf", "infh", "2d", " ", "10M"])
 def test_what_is_no_time_is_refused(text):
     assert refused(lambda: resolve({}, {"time_budget": text})) == (
-        "option 'time-budget' expects none or a number of seconds, or one with s, m or "
-        f"h such as 10m, got {text!r}")
+        f"option 'time-budget' expects none or a number of seconds, or one with s, m or h such as 10m, got {text!r}"
+    )
 
 
 def test_a_time_budget_and_a_number_of_steps_contradict():
-    refused(lambda: resolve({"iterations": 500}, {"time_budget": "10m"}),
-            "--time-budget: decides the number of steps, as -n does; leave one of them out")
+    refused(
+        lambda: resolve({"iterations": 500}, {"time_budget": "10m"}),
+        "--time-budget: decides the number of steps, as -n does; leave one of them out",
+    )
     assert resolve({}, {"time_budget": ""}).iterations == "auto"  # none: nothing to refuse
     assert resolve({}, {"time_budget": "10m", "preset": "paper"}).iterations == 30_000
 
@@ -289,7 +356,6 @@ def test_presets_are_what_the_paper_and_the_release_say():
     paper, release = (resolve({}, {"preset": preset}) for preset in ("paper", "release"))
     assert paper.levels == (5, 4, 3, 2, 1) and release.levels == (5, 2.5, 5 / 3, 1.25, 1)
     assert (paper.sphere_neighbours, paper.sphere_shrink, paper.sphere_rule) == (15, 0.7, "paper")
-    assert (release.sphere_neighbours, release.sphere_shrink, release.sphere_rule) == (
-        8, 0.8, "release")
+    assert (release.sphere_neighbours, release.sphere_shrink, release.sphere_rule) == (8, 0.8, "release")
     assert paper.sphere_reach == release.sphere_reach == 15
     assert paper.level_share == release.level_share == 1  # no deadlines

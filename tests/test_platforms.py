@@ -17,17 +17,78 @@ from tests.layout import ROOT
 from tools.synth.__main__ import synthesise
 
 # not in Windows' standard library; macOS has all but the last two
-MODULES = ("fcntl", "resource", "pwd", "grp", "termios", "tty", "pty", "syslog", "posix", "curses",
-           "readline", "crypt", "nis", "spwd", "ossaudiodev")
+MODULES = (
+    "fcntl",
+    "resource",
+    "pwd",
+    "grp",
+    "termios",
+    "tty",
+    "pty",
+    "syslog",
+    "posix",
+    "curses",
+    "readline",
+    "crypt",
+    "nis",
+    "spwd",
+    "ossaudiodev",
+)
 NAMES = {
-    "os": ("fork", "forkpty", "killpg", "getpgid", "getpgrp", "setpgid", "setsid", "getsid",
-           "setuid", "getloadavg", "nice", "mkfifo", "mknod", "openpty", "ttyname", "fchown",
-           "chroot", "pwrite", "preadv", "sendfile", "wait3", "wait4", "pipe2",
-           "sched_setaffinity", "memfd_create", "posix_fadvise", "posix_fallocate", "pidfd_open",
-           "eventfd", "copy_file_range", "getxattr", "setxattr", "getrandom"),
-    "signal": ("SIGKILL", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGPIPE", "SIGALRM",
-               "SIGCHLD", "SIGSTOP", "SIGCONT", "pthread_kill", "pthread_sigmask", "sigwait",
-               "alarm", "setitimer", "siginterrupt", "pause"),
+    "os": (
+        "fork",
+        "forkpty",
+        "killpg",
+        "getpgid",
+        "getpgrp",
+        "setpgid",
+        "setsid",
+        "getsid",
+        "setuid",
+        "getloadavg",
+        "nice",
+        "mkfifo",
+        "mknod",
+        "openpty",
+        "ttyname",
+        "fchown",
+        "chroot",
+        "pwrite",
+        "preadv",
+        "sendfile",
+        "wait3",
+        "wait4",
+        "pipe2",
+        "sched_setaffinity",
+        "memfd_create",
+        "posix_fadvise",
+        "posix_fallocate",
+        "pidfd_open",
+        "eventfd",
+        "copy_file_range",
+        "getxattr",
+        "setxattr",
+        "getrandom",
+    ),
+    "signal": (
+        "SIGKILL",
+        "SIGHUP",
+        "SIGQUIT",
+        "SIGUSR1",
+        "SIGUSR2",
+        "SIGPIPE",
+        "SIGALRM",
+        "SIGCHLD",
+        "SIGSTOP",
+        "SIGCONT",
+        "pthread_kill",
+        "pthread_sigmask",
+        "sigwait",
+        "alarm",
+        "setitimer",
+        "siginterrupt",
+        "pause",
+    ),
 }  # but those that subprocess, tempfile and pathlib of this very system use themselves
 
 # sitecustomize.py of every process below, and of its children: hides when clsplat is first imported
@@ -70,9 +131,17 @@ def elsewhere(tmp_path):
 
     def run(*words, **environment):
         return subprocess.run(
-            [sys.executable, *map(str, words)], cwd=tmp_path, stdin=subprocess.DEVNULL,
-            env={**os.environ, "PYTHONPATH": paths, **environment}, capture_output=True, text=True,
-            encoding="utf-8", timeout=300, check=False)
+            [sys.executable, *map(str, words)],
+            cwd=tmp_path,
+            stdin=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": paths, **environment},
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            timeout=300,
+            check=False,
+        )
+
     return run
 
 
@@ -92,13 +161,17 @@ def test_commands_begin(elsewhere, words):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("words", [("train",), pytest.param(
-    ("city", "--grid", "2x1", "--workers", "2"), marks=pytest.mark.nightly)], ids=len)
+@pytest.mark.parametrize(
+    "words", [("train",), pytest.param(("city", "--grid", "2x1", "--workers", "2"), marks=pytest.mark.nightly)], ids=len
+)
 def test_a_training_from_scene_to_picture(elsewhere, tmp_path, words):
     """With its children: the COLMAP reader's process, and a city's two workers."""
     synthesise(tmp_path / "town", (1, 1), 12, (96, 64))
-    for line in ((*words, "town", "-n", "12", "-q", "-o", "run"), ("eval", "run"),
-                 ("export", "run", "-o", "model.ply")):
+    for line in (
+        (*words, "town", "-n", "12", "-q", "-o", "run"),
+        ("eval", "run"),
+        ("export", "run", "-o", "model.ply"),
+    ):
         done = elsewhere("-m", "clsplat", *line)
         assert done.returncode == 0, (line, done.stderr)
     assert (tmp_path / "model.ply").stat().st_size > 1000
@@ -115,5 +188,7 @@ def test_intels_runtime_is_found_beside_the_others(monkeypatch, tmp_path):
     with runtimes.intel_runtime():
         folder = Path(os.environ["OCL_ICD_VENDORS"])
         assert {file.read_text("utf-8") for file in folder.iterdir()} == {
-            "liba.so\n", f"{tmp_path}/lib/libintelocl.so\n"}
+            "liba.so\n",
+            f"{tmp_path}/lib/libintelocl.so\n",
+        }
     assert "OCL_ICD_VENDORS" not in os.environ and not folder.exists()

@@ -43,13 +43,17 @@ def test_photos_of_one_shape_and_focal_length_share_a_lens():
     lenses = Lenses.of_cameras([CAMERA, other, near, CAMERA.reduced(2)])
     assert lenses.of.tolist() == [0, 1, 0, 0] and not lenses.rows[:, :3].any()
     assert lenses.rows[0, 3] == pytest.approx(
-        1 / max(corner_radius(camera) for camera in (CAMERA, near, CAMERA.reduced(2))))
+        1 / max(corner_radius(camera) for camera in (CAMERA, near, CAMERA.reduced(2)))
+    )
 
 
 def test_files_keep_responses_to_the_last_digit(tmp_path):
     rng = np.random.default_rng(1)
-    written = {"a": Response(rng.normal(size=(3, 4))), "b": Response(rng.normal(size=(3, 4)), LENS),
-               "c": Response(vignetting=LENS)}
+    written = {
+        "a": Response(rng.normal(size=(3, 4))),
+        "b": Response(rng.normal(size=(3, 4)), LENS),
+        "c": Response(vignetting=LENS),
+    }
     write_exposures(tmp_path, written)
     read = read_exposures(tmp_path)
     for name, response in written.items():

@@ -45,8 +45,11 @@ def test_portraits_stand_upright_however_they_are_stored(tmp_path, stored_uprigh
         position = 6 * np.cos(angle), 6 * np.sin(angle), 1.0
         camera = Camera.looking_at((0, 0, 0), position, width=48, height=64).turned(quarters)
         views.append(View(f"{len(views):02d}.jpg", camera, Path("none")))
-        photo(tmp_path / "images" / views[-1].name, {"Orientation": 1 if stored_upright else 6},
-              size=(camera.width, camera.height))
+        photo(
+            tmp_path / "images" / views[-1].name,
+            {"Orientation": 1 if stored_upright else 6},
+            size=(camera.width, camera.height),
+        )
     write_colmap(tmp_path / "sparse/0", views, places, np.zeros((50, 3), np.uint8))
     scene = read_scene(tmp_path)
     assert scene.up @ (0, 0, 1) > 0.99

@@ -24,23 +24,53 @@ try:
 except ImportError:  # Python 3.10
     import tomli as tomllib
 
-DOCS = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md")
-              if path.parent.name != "evidence")  # made of commands of earlier commits
+DOCS = sorted(
+    path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md") if path.parent.name != "evidence"
+)  # made of commands of earlier commits
 # what users read: they may have no checkout
 USER_PAGES = ("README.md", "CHANGELOG.md", *DOCS)
 PAGES = ("CONTRIBUTING.md", *USER_PAGES)
 # other programs that may be named; their options are not checked
-PROGRAMS = {"pip", "python", "python3", "apt-get", "apt", "brew", "conda", "git", "dask", "colmap",
-            "ruff", "pytest", "mkdocs", "cd", "wsl", "sbatch", "clinfo", "docker", "flock", "dnf",
-            "py"}
+PROGRAMS = {
+    "pip",
+    "python",
+    "python3",
+    "apt-get",
+    "apt",
+    "brew",
+    "conda",
+    "git",
+    "dask",
+    "colmap",
+    "ruff",
+    "pytest",
+    "mkdocs",
+    "cd",
+    "wsl",
+    "sbatch",
+    "clinfo",
+    "docker",
+    "flock",
+    "dnf",
+    "py",
+}
 # options of those programs, where a message names them alone
-FOREIGN_OPTIONS = {"--nthreads": "dask", "--resources": "dask", "--memory-limit": "dask",
-                   "--image_path": "colmap", "--input_path": "colmap", "--output_path": "colmap",
-                   "--output_type": "colmap", "--max_image_size": "colmap"}
+FOREIGN_OPTIONS = {
+    "--nthreads": "dask",
+    "--resources": "dask",
+    "--memory-limit": "dask",
+    "--image_path": "colmap",
+    "--input_path": "colmap",
+    "--output_path": "colmap",
+    "--output_type": "colmap",
+    "--max_image_size": "colmap",
+}
 # packages that are installed or removed by hand and that setup.cfg does not name
 PACKAGES = {"pocl-binary-distribution", "pip", "wheel"}
-FILES = re.compile(r"(tools|docs|tests|cl|clsplat|data_samples|\.ci)/[\w./-]+|[A-Z]+\.md"
-                   r"|setup\.cfg")
+FILES = re.compile(
+    r"(tools|docs|tests|cl|clsplat|data_samples|\.ci)/[\w./-]+|[A-Z]+\.md"
+    r"|setup\.cfg"
+)
 OPTION = re.compile(r"(?<![\w/-])--[a-z][a-z0-9_-]*")
 PLACEHOLDER = "X"
 
@@ -79,18 +109,22 @@ def strings(text):
     """(line, string, whether it is a docstring) of each string of a module; {values} are X."""
     tree = ast.parse(text)
     nodes = list(ast.walk(tree))
-    documented = {id(node.body[0].value) for node in nodes
-                  if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and node.body
-                  and isinstance(node.body[0], ast.Expr)}
-    inside = {id(piece) for node in nodes if isinstance(node, ast.JoinedStr)
-              for piece in node.values}
+    documented = {
+        id(node.body[0].value)
+        for node in nodes
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))
+        and node.body
+        and isinstance(node.body[0], ast.Expr)
+    }
+    inside = {id(piece) for node in nodes if isinstance(node, ast.JoinedStr) for piece in node.values}
     for node in nodes:
         if isinstance(node, ast.JoinedStr):
-            yield node.lineno, "".join(
-                piece.value if isinstance(piece, ast.Constant) else PLACEHOLDER
-                for piece in node.values), False
-        elif (isinstance(node, ast.Constant) and isinstance(node.value, str)
-              and id(node) not in inside):
+            yield (
+                node.lineno,
+                "".join(piece.value if isinstance(piece, ast.Constant) else PLACEHOLDER for piece in node.values),
+                False,
+            )
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in inside:
             yield node.lineno, node.value, id(node) in documented
 
 
@@ -137,7 +171,7 @@ def untrue(words, users):
     if program == "clsplat":
         return untrue_command(words[1:])
     if program in ("python", "python3") and "-m" in words[:-1]:
-        return untrue_module(words[words.index("-m") + 1:], users)
+        return untrue_module(words[words.index("-m") + 1 :], users)
     if program == "pip":
         return untrue_packages(words)
     if program in PROGRAMS:
@@ -181,16 +215,21 @@ def untrue_module(words, users):
         return f"`python -m {module}`: an installed clsplat has no such module"
     if importlib.util.find_spec(module) is None:
         return f"there is no module {module}"
-    return next((f"{module} has no option {word}" for word in words[1:]
-                 if OPTION.fullmatch(word) and untrue_option(word, False)), "")
+    return next(
+        (
+            f"{module} has no option {word}"
+            for word in words[1:]
+            if OPTION.fullmatch(word) and untrue_option(word, False)
+        ),
+        "",
+    )
 
 
 def untrue_option(word, users):
     flag = word.partition("=")[0].rstrip(",.;:")
     if not OPTION.fullmatch(flag) or flag in options_of(None) or flag in FOREIGN_OPTIONS:
         return ""
-    if not users and (f'"{flag}"' in tools_text() or re.search(
-            rf"\b{flag[2:].replace('-', '_')}=", tools_text())):
+    if not users and (f'"{flag}"' in tools_text() or re.search(rf"\b{flag[2:].replace('-', '_')}=", tools_text())):
         return ""
     return f"no command has the option {flag}"
 
@@ -199,8 +238,11 @@ def untrue_packages(words):
     config = configparser.ConfigParser()
     config.read(ROOT / "setup.cfg", encoding="utf-8")
     extras = dict(config["options.extras_require"])
-    named = {re.match(r"[\w-]+", line)[0].lower() for line in "\n".join(
-        [config["options"]["install_requires"], *extras.values()]).splitlines() if line.strip()}
+    named = {
+        re.match(r"[\w-]+", line)[0].lower()
+        for line in "\n".join([config["options"]["install_requires"], *extras.values()]).splitlines()
+        if line.strip()
+    }
     for word in words[2:]:
         name, _, extra = word.rstrip("]").partition("[")
         if word.startswith("-"):
@@ -233,24 +275,34 @@ def test_pages(page):
     text = (ROOT / page).read_text("utf-8")
     found = list(lies(page, text, users=page in USER_PAGES))
     links = re.findall(r"\]\(([^)#\s]+)", text)
-    found += [f"{page}: there is no file {link}" for link in links
-              if not re.match(r"https?:", link) and not ((ROOT / page).parent / link).exists()]
-    found += [f"{page}: nothing reads the variable {name}"
-              for name in set(re.findall(r"CLSPLAT_[A-Z_]+", text))
-              if name not in package_text() + tools_text() + shell_text()]
+    found += [
+        f"{page}: there is no file {link}"
+        for link in links
+        if not re.match(r"https?:", link) and not ((ROOT / page).parent / link).exists()
+    ]
+    found += [
+        f"{page}: nothing reads the variable {name}"
+        for name in set(re.findall(r"CLSPLAT_[A-Z_]+", text))
+        if name not in package_text() + tools_text() + shell_text()
+    ]
     assert not found, "\n".join(found)
 
 
 def shell_text():
-    return "".join((ROOT / name).read_text("utf-8")
-                   for name in ("tools/install", "tools/test", "tools/quickstart", ".ci/steps",
-                                ".ci/run", ".ci/nightly"))
+    return "".join(
+        (ROOT / name).read_text("utf-8")
+        for name in ("tools/install", "tools/test", "tools/quickstart", ".ci/steps", ".ci/run", ".ci/nightly")
+    )
 
 
 def test_help():
     found = [line for where, text in help_texts() for line in lies(where, text, users=True)]
-    found += [f"{where}: {said}" for where, text in help_texts()
-              for said in (untrue_option(flag, True) for flag in OPTION.findall(text)) if said]
+    found += [
+        f"{where}: {said}"
+        for where, text in help_texts()
+        for said in (untrue_option(flag, True) for flag in OPTION.findall(text))
+        if said
+    ]
     assert not found, "\n".join(found)
 
 
@@ -289,26 +341,39 @@ def test_settings():
                 assert key.replace("-", "_") in TrainOptions.__dataclass_fields__, (page, key)
 
 
-@pytest.mark.parametrize("text, said", [
-    ("make one with `clsplat nothing`", "no command `clsplat nothing`"),
-    ("`clsplat train --nothing`", "no option --nothing"),
-    ("`clsplat train S --schedule fast`", "fast is none of"),
-    ("`--nothing`", "no command has the option"),
-    ("`python -m tools.pack SCENE`", "an installed clsplat has no such module"),
-    ("`python -m clsplat.nothing`", "no module"),
-    ("`tools/nothing`", "no file tools/nothing"),
-    ("`pip install 'clsplat[cpu]'`", "not on PyPI"),
-    ("`pip install '.[nothing]'`", "no extra"),
-    ("`pip install nothing`", "does not know nothing"),
-    ("```\ncd x && clsplat trian S\n```", "no command `clsplat trian`")])
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("make one with `clsplat nothing`", "no command `clsplat nothing`"),
+        ("`clsplat train --nothing`", "no option --nothing"),
+        ("`clsplat train S --schedule fast`", "fast is none of"),
+        ("`--nothing`", "no command has the option"),
+        ("`python -m tools.pack SCENE`", "an installed clsplat has no such module"),
+        ("`python -m clsplat.nothing`", "no module"),
+        ("`tools/nothing`", "no file tools/nothing"),
+        ("`pip install 'clsplat[cpu]'`", "not on PyPI"),
+        ("`pip install '.[nothing]'`", "no extra"),
+        ("`pip install nothing`", "does not know nothing"),
+        ("```\ncd x && clsplat trian S\n```", "no command `clsplat trian`"),
+    ],
+)
 def test_what_is_untrue_is_noticed(text, said):
-    line, = lies("page", text, users=True)
+    (line,) = lies("page", text, users=True)
     assert said in line
 
 
-@pytest.mark.parametrize("text", [
-    "`clsplat train SCENE -n 10 --schedule sig -o out/run`", "`--no-antialiased`", "`tools/test`",
-    "`CLSPLAT_DEVICE=0 dask worker tcp://x --nthreads 1`", "`pip install '.[cpu]'`",
-    "`clsplat bench SCENE --profile`", "`x < 3`", "`--levels 4,2,1`"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "`clsplat train SCENE -n 10 --schedule sig -o out/run`",
+        "`--no-antialiased`",
+        "`tools/test`",
+        "`CLSPLAT_DEVICE=0 dask worker tcp://x --nthreads 1`",
+        "`pip install '.[cpu]'`",
+        "`clsplat bench SCENE --profile`",
+        "`x < 3`",
+        "`--levels 4,2,1`",
+    ],
+)
 def test_what_is_true_passes(text):
     assert not list(lies("page", text, users=True))

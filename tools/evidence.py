@@ -60,18 +60,20 @@ def shown(default):
 
 def digits_of(values):
     """How many digits behind the point the numbers of a column need."""
-    numbers = [one for value in values for one in (value if isinstance(value, list) else [value])
-               if isinstance(one, float) and abs(one) >= 1e-3]
+    numbers = [
+        one
+        for value in values
+        for one in (value if isinstance(value, list) else [value])
+        if isinstance(one, float) and abs(one) >= 1e-3
+    ]
     return max((len(f"{number:g}".partition(".")[2]) for number in numbers), default=0)
 
 
 def table(rows):
     """Rows, column -> value, as a table of Markdown; the columns are those of the first row."""
     columns = {name: [row[name] for row in rows] for name in rows[0]}
-    marks = ["---:" if any(isinstance(value, float) for value in values) else "---"
-             for values in columns.values()]
-    cells = [[text_of(value, digits_of(values)) for value in values]
-             for values in columns.values()]
+    marks = ["---:" if any(isinstance(value, float) for value in values) else "---" for values in columns.values()]
+    cells = [[text_of(value, digits_of(values)) for value in values] for values in columns.values()]
     return "\n".join(f"| {' | '.join(line)} |" for line in [columns, marks, *zip(*cells)])
 
 
@@ -99,13 +101,22 @@ def page(path):
 
 def index():
     """The Markdown of the first page: the defaults, and the other pages."""
-    rows = [{"option": f"`{line['option'].replace('_', '-')}`", "default": shown(line["value"]),
-             "evidence": f"[{line['evidence']}]({line['see']})", "date": line["date"],
-             "commit": line["commit"], "command": code(line["command"])}
-            for line in records(RESULTS / "defaults.jsonl")]
-    links = [f"- [{records(path)[0]['page']}]({path.stem}.md): "
-             + ", ".join(line["table"].lower() for line in records(path) if "table" in line)
-             for path in files()]
+    rows = [
+        {
+            "option": f"`{line['option'].replace('_', '-')}`",
+            "default": shown(line["value"]),
+            "evidence": f"[{line['evidence']}]({line['see']})",
+            "date": line["date"],
+            "commit": line["commit"],
+            "command": code(line["command"]),
+        }
+        for line in records(RESULTS / "defaults.jsonl")
+    ]
+    links = [
+        f"- [{records(path)[0]['page']}]({path.stem}.md): "
+        + ", ".join(line["table"].lower() for line in records(path) if "table" in line)
+        for path in files()
+    ]
     return "\n".join([INDEX, *links, "", "## Defaults", "", table(rows), ""])
 
 
@@ -116,8 +127,7 @@ def files():
 
 def pages():
     """Path -> Markdown of all pages."""
-    return {PAGES / "index.md": index(), **{PAGES / f"{path.stem}.md": page(path)
-                                            for path in files()}}
+    return {PAGES / "index.md": index(), **{PAGES / f"{path.stem}.md": page(path) for path in files()}}
 
 
 if __name__ == "__main__":

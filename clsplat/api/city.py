@@ -16,10 +16,17 @@ from clsplat.partition.options import PartitionOptions
 from clsplat.scene import Scene
 
 
-def city(scene: Scene | str | PathLike[str], options: TrainOptions | None = None, *,
-         output: str | PathLike[str] | None = None, partition: Mapping[str, Any] | None = None,
-         workers: int | None = None, devices: Sequence[str] = (), scheduler: str = "",
-         fill: bool = False) -> Run:
+def city(
+    scene: Scene | str | PathLike[str],
+    options: TrainOptions | None = None,
+    *,
+    output: str | PathLike[str] | None = None,
+    partition: Mapping[str, Any] | None = None,
+    workers: int | None = None,
+    devices: Sequence[str] = (),
+    scheduler: str = "",
+    fill: bool = False,
+) -> Run:
     """Train a large scene in blocks, and merge them; the same as `clsplat city`.
 
     After any failure, the same call continues. With several workers a script needs
@@ -47,9 +54,7 @@ def city(scene: Scene | str | PathLike[str], options: TrainOptions | None = None
     clsplat.ClsplatError : if the scene, an option or the folder cannot be used, or a block fails.
     """
     chosen, folder = resolved(options), folder_of(output)
-    cut = {name: checked(PartitionOptions, "partition", name, value)
-           for name, value in (partition or {}).items()}
+    cut = {name: checked(PartitionOptions, "partition", name, value) for name, value in (partition or {}).items()}
     data = scene if isinstance(scene, Scene) else read_scene(Path(scene).absolute(), chosen.images)
-    run.city(data, chosen, folder, partition=cut, workers=workers, devices=devices,
-             scheduler=scheduler, fill=fill)
+    run.city(data, chosen, folder, partition=cut, workers=workers, devices=devices, scheduler=scheduler, fill=fill)
     return Run(RunFolder.open(folder))

@@ -23,8 +23,7 @@ class Device(OpenedDevice):
     clsplat.ClsplatError : if no such device works; the message says why, and the cure.
     """
 
-    def __init__(self, name: str | int = "auto", *, form: str = "auto",
-                 precision: str = "float") -> None:
+    def __init__(self, name: str | int = "auto", *, form: str = "auto", precision: str = "float") -> None:
         for value, choices in ((form, ("auto", "item", "group")), (precision, ("float", "double"))):
             if value not in choices:
                 raise InputError(f"{value!r}: not one of {', '.join(choices)}")
@@ -35,8 +34,12 @@ class Device(OpenedDevice):
 
     def _repr_html_(self) -> str:
         memory = self.handle.global_mem_size / 2**30
-        rows = {"device": self.name, "platform": self.handle.platform.name.strip(),
-                "memory": f"{memory:.1f} GiB", "kernels": f"{self.form} form"}
+        rows = {
+            "device": self.name,
+            "platform": self.handle.platform.name.strip(),
+            "memory": f"{memory:.1f} GiB",
+            "kernels": f"{self.form} form",
+        }
         return table(rows)
 
 

@@ -18,14 +18,14 @@ class TrainOptions(options.TrainOptions):
     """
 
     if not TYPE_CHECKING:  # the fields are the keywords, for editors and type checkers
+
         def __init__(self, **given: Any) -> None:
             object.__setattr__(self, "_given", given)
             for name, value in vars(options.resolve({}, given)).items():
                 object.__setattr__(self, name, value)
 
 
-def resolved(given: options.TrainOptions | None, schedule: type[Schedule] | None = None
-             ) -> options.TrainOptions:
+def resolved(given: options.TrainOptions | None, schedule: type[Schedule] | None = None) -> options.TrainOptions:
     """The options of a training, which follows a schedule that is given as a class.
 
     Parameters

@@ -33,14 +33,24 @@ class Forecast:
     seconds: float
 
     def _repr_html_(self) -> str:
-        return table({**{name.replace("_", " "): text for name, text in self.reasons.items()},
-                      "steps": f"{self.steps:,}", "gaussians": f"{self.gaussians:,}",
-                      "memory": f"{self.memory_bytes / 2**20:,.0f} MiB",
-                      "time": f"{self.seconds:,.0f} s"})
+        return table(
+            {
+                **{name.replace("_", " "): text for name, text in self.reasons.items()},
+                "steps": f"{self.steps:,}",
+                "gaussians": f"{self.gaussians:,}",
+                "memory": f"{self.memory_bytes / 2**20:,.0f} MiB",
+                "time": f"{self.seconds:,.0f} s",
+            }
+        )
 
 
-def plan(scene: Scene | str | PathLike[str], options: TrainOptions | None = None, *,
-         device: Device | None = None, schedule: type[Schedule] | None = None) -> Forecast:
+def plan(
+    scene: Scene | str | PathLike[str],
+    options: TrainOptions | None = None,
+    *,
+    device: Device | None = None,
+    schedule: type[Schedule] | None = None,
+) -> Forecast:
     """Decide what a training needs, and forecast its memory and time, as `clsplat plan` does.
 
     It takes a few real steps on the device.
@@ -57,5 +67,10 @@ def plan(scene: Scene | str | PathLike[str], options: TrainOptions | None = None
     data, chosen, opened = opened_training(scene, options, device, schedule)
     prepared = prepare(data, chosen, opened)
     found = forecast(prepared, opened)
-    return Forecast({**prepared.decisions.reasons, "photos": found.photos},
-                    found.steps, found.gaussians, found.memory.total, found.seconds)
+    return Forecast(
+        {**prepared.decisions.reasons, "photos": found.photos},
+        found.steps,
+        found.gaussians,
+        found.memory.total,
+        found.seconds,
+    )

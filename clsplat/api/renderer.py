@@ -24,10 +24,17 @@ from clsplat.training.capacity import FrameCapacity
 IN_FLIGHT = 8  # frames that are enqueued before the first one is read
 
 
-def render(model: Gaussians, camera: Camera | None = None, *,
-           cameras: Iterable[Camera] | None = None, device: OpenedDevice | None = None,
-           depth: bool = False, background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-           near: float | None = None, antialiased: bool = False) -> Any:
+def render(
+    model: Gaussians,
+    camera: Camera | None = None,
+    *,
+    cameras: Iterable[Camera] | None = None,
+    device: OpenedDevice | None = None,
+    depth: bool = False,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    near: float | None = None,
+    antialiased: bool = False,
+) -> Any:
     """Render gaussians from a camera, or from several.
 
     A model that is larger than the device is rendered in slabs of depth.
@@ -64,13 +71,16 @@ def render(model: Gaussians, camera: Camera | None = None, *,
     return frames[0] if cameras is None else frames
 
 
-def _frames(opened: ModelRenderer, rows: Any, cameras: list[Camera], model: Gaussians,
-            depth: bool) -> Iterator[pipeline.Frame | SlabFrame]:
+def _frames(
+    opened: ModelRenderer, rows: Any, cameras: list[Camera], model: Gaussians, depth: bool
+) -> Iterator[pipeline.Frame | SlabFrame]:
     """The frames of cameras. Those after the first have the room that frames before them needed,
     so that nothing waits; if that is too little, a frame is rendered again."""
+
     def one(camera: Camera, **room: Any) -> Any:
-        return opened.render(rows, opened.pack(camera), camera.width, camera.height,
-                             model.sh_degree, with_depth=depth, **room)
+        return opened.render(
+            rows, opened.pack(camera), camera.width, camera.height, model.sh_degree, with_depth=depth, **room
+        )
 
     if len(cameras) == 1 or not isinstance(opened, pipeline.Renderer):
         yield from map(one, cameras)
@@ -78,7 +88,7 @@ def _frames(opened: ModelRenderer, rows: Any, cameras: list[Camera], model: Gaus
     capacity = FrameCapacity(opened)
     for begin in range(0, len(cameras), IN_FLIGHT):
         sent = []
-        for camera in cameras[begin:begin + IN_FLIGHT]:
+        for camera in cameras[begin : begin + IN_FLIGHT]:
             size = camera.width, camera.height
             if not capacity.is_known(*size, depth):
                 capacity.grow(rows, opened.pack(camera), *size)
@@ -140,15 +150,23 @@ class Renderer:
     clsplat.ClsplatError : if the model does not fit the device.
     """
 
-    def __init__(self, model: Gaussians, device: OpenedDevice | None = None, *,
-                 background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-                 near: float | None = None, antialiased: bool = False) -> None:
+    def __init__(
+        self,
+        model: Gaussians,
+        device: OpenedDevice | None = None,
+        *,
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        near: float | None = None,
+        antialiased: bool = False,
+    ) -> None:
         background, near = _checked(model, background, near)
         self.device = device = opened_device(device)
         limit = gaussian_limit(device, model.sh_degree)
         if model.count > limit:
-            raise InputError(f"{model.count:,} gaussians: the device has memory for {limit:,}; "
-                             "use clsplat.render, which renders larger models in slabs")
+            raise InputError(
+                f"{model.count:,} gaussians: the device has memory for {limit:,}; "
+                "use clsplat.render, which renders larger models in slabs"
+            )
         self.model = model
         self._pipeline = pipeline.Renderer(device, model.sh_degree, near, antialiased, background)
         self._rows = {f.name: device.upload(model.rows[f.name]) for f in LEARNED}
@@ -193,18 +211,27 @@ class Renderer:
         if features is not None:
             features = _as_numpy(features, "features")
             if features.shape not in [(self.model.count, c + 1) for c in range(MOST_CHANNELS)]:
-                raise InputError(f"features: has shape {features.shape}, not ({self.model.count}, "
-                                 f"1 to {MOST_CHANNELS})")
+                raise InputError(
+                    f"features: has shape {features.shape}, not ({self.model.count}, 1 to {MOST_CHANNELS})"
+                )
             features = self.device.upload(features)
-        frame = self._pipeline.render(self._rows, packed, camera.width, camera.height,
-                                      self.model.sh_degree, with_depth=depth, features=features)
+        frame = self._pipeline.render(
+            self._rows, packed, camera.width, camera.height, self.model.sh_degree, with_depth=depth, features=features
+        )
         depths = frame.blended.depth.download().astype(np.float32) if depth else None
-        return Frame(_image(frame.image), depths,
-                     frame.blended.transmittance.download().astype(np.float32), frame, camera)
+        return Frame(
+            _image(frame.image), depths, frame.blended.transmittance.download().astype(np.float32), frame, camera
+        )
 
-    def backward(self, frame: Frame, grad_image: Any, grad_depth: Any = None,
-                 grad_transmittance: Any = None, *, pose: bool = False
-                 ) -> dict[str, NDArray[np.float32]]:
+    def backward(
+        self,
+        frame: Frame,
+        grad_image: Any,
+        grad_depth: Any = None,
+        grad_transmittance: Any = None,
+        *,
+        pose: bool = False,
+    ) -> dict[str, NDArray[np.float32]]:
         """Gradients of a loss by the gaussians, and by the pose of the camera (the adjoint of
         `forward`).
 
@@ -229,14 +256,15 @@ class Renderer:
         """
         height, width, channels = frame.image.shape
         if frame.depth is None and not (grad_depth is None and grad_transmittance is None):
-            raise InputError("gradients of depth or transmittance need a frame with depth: "
-                             "forward(camera, depth=True)")
+            raise InputError("gradients of depth or transmittance need a frame with depth: forward(camera, depth=True)")
         gradients = self._pipeline.adjoint(
-            self._rows, frame._frame,
+            self._rows,
+            frame._frame,
             self._gradient(grad_image, "grad_image", (height, width, channels)),
             self._gradient(grad_depth, "grad_depth", (height, width)),
             self._gradient(grad_transmittance, "grad_transmittance", (height, width)),
-            with_pose=pose)
+            with_pose=pose,
+        )
         rows = gradients.rows.download()
         finite = rows != NO_ROW
         dense, found = {}, dict(gradients.fields)
@@ -247,8 +275,7 @@ class Renderer:
             dense[name][rows[finite]] = values.download()[finite]
         if pose:
             turn, away = np.split(gradients.by_pose(), 2)
-            dense |= {"turn": turn.astype(np.float32),
-                      "shift": (frame._camera.rotation @ away).astype(np.float32)}
+            dense |= {"turn": turn.astype(np.float32), "shift": (frame._camera.rotation @ away).astype(np.float32)}
         return dense
 
     def _gradient(self, values: Any, name: str, shape: tuple[int, ...]) -> Any:
@@ -261,8 +288,7 @@ class Renderer:
         return self.device.upload(np.ascontiguousarray(array, self.device.real))
 
 
-def checked_fields(fields: dict[str, Any], count: int, sh_degree: int
-                   ) -> dict[str, NDArray[np.float32]]:
+def checked_fields(fields: dict[str, Any], count: int, sh_degree: int) -> dict[str, NDArray[np.float32]]:
     """New parameters of gaussians as arrays; InputError if one does not fit the model."""
     known = {field.name: (count, *field.row_shape(sh_degree)) for field in LEARNED}
     for name in fields:
@@ -271,12 +297,10 @@ def checked_fields(fields: dict[str, Any], count: int, sh_degree: int
     return {name: _as_numpy(values, name, known[name]) for name, values in fields.items()}
 
 
-def _checked(model: Gaussians, background: Any, near: float | None
-             ) -> tuple[tuple[float, float, float], float]:
+def _checked(model: Gaussians, background: Any, near: float | None) -> tuple[tuple[float, float, float], float]:
     """The background and the depth of the near plane; InputError for what is no such thing."""
     if not isinstance(model, Gaussians):
-        raise InputError(f"model {shown(model)}: not gaussians; give clsplat.Gaussians, such "
-                         "as Gaussians.load(path)")
+        raise InputError(f"model {shown(model)}: not gaussians; give clsplat.Gaussians, such as Gaussians.load(path)")
     if near is not None and numbers("near", near, ()) <= 0:
         raise InputError(f"near {near}: expects a depth above 0, or None")
     red, green, blue = numbers("background", background, (3,)).tolist()
@@ -291,8 +315,7 @@ def _checked(model: Gaussians, background: Any, near: float | None
 def _in_frame_of(model: Gaussians, camera: Camera | None) -> Camera:
     """The camera in the model's local coordinates; InputError if it can draw nothing."""
     if not isinstance(camera, Camera):
-        raise InputError(f"camera {shown(camera)}: not a camera; give clsplat.Camera, such "
-                         "as a view's")
+        raise InputError(f"camera {shown(camera)}: not a camera; give clsplat.Camera, such as a view's")
     camera.check()
     return camera.shifted(model.offset - camera.offset)
 

@@ -43,8 +43,14 @@ class Run(run.Run):
         """
         return Scene.of(super().scene(path, whole=whole))
 
-    def resume(self, *, device: Device | None = None, scene: core.Scene | None = None,
-               parts: Iterable[Part] = (), callbacks: Iterable[Callback] = ()) -> None:
+    def resume(
+        self,
+        *,
+        device: Device | None = None,
+        scene: core.Scene | None = None,
+        parts: Iterable[Part] = (),
+        callbacks: Iterable[Callback] = (),
+    ) -> None:
         """Continue a training that was stopped, from its last checkpoint to its end.
 
         Parameters
@@ -63,14 +69,14 @@ class Run(run.Run):
         scene = scene or super().scene(whole=True)
         with self.folder.locked():
             try:
-                resumed(scene, options, device, self.folder, callbacks=callbacks,
-                        parts=parts).take()
+                resumed(scene, options, device, self.folder, callbacks=callbacks, parts=parts).take()
             except Interrupted as error:
                 if not error.planned:
                     raise
 
-    def evaluate(self, device: Device | None = None, *,
-                 lpips: str | PathLike[str] | None = None, align: bool = False) -> Score:
+    def evaluate(
+        self, device: Device | None = None, *, lpips: str | PathLike[str] | None = None, align: bool = False
+    ) -> Score:
         """Compare the finished model with the held-out photos.
 
         Parameters
@@ -89,10 +95,14 @@ class Run(run.Run):
         clsplat.ClsplatError : the run has no model or holds out no view.
         """
         if not self.folder.has_model:
-            raise InputError(f"{self.path}: has no finished model yet; resume it first, or give "
-                             "Run.model to clsplat.evaluate")
-        return Score.of(evaluate_run(self, device or choose_device("auto"), save_images=False,
-                                     metrics=final_metrics(lpips), align=align))
+            raise InputError(
+                f"{self.path}: has no finished model yet; resume it first, or give Run.model to clsplat.evaluate"
+            )
+        return Score.of(
+            evaluate_run(
+                self, device or choose_device("auto"), save_images=False, metrics=final_metrics(lpips), align=align
+            )
+        )
 
     def _repr_html_(self) -> str:
         return run_page(self)

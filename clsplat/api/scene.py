@@ -83,8 +83,8 @@ class Scene(scene.Scene):
         return cls.of(read_scene(Path(path).absolute(), images))  # the current folder may change
 
     if TYPE_CHECKING:  # views stay what they are
-        def split(self, test_every: int, test_offset: int = 0
-                  ) -> tuple[tuple[View, ...], tuple[View, ...]]: ...
+
+        def split(self, test_every: int, test_offset: int = 0) -> tuple[tuple[View, ...], tuple[View, ...]]: ...
 
     def _repr_html_(self) -> str:
         return scene_page(self)

@@ -68,26 +68,38 @@ class Score:
         return cls(**{**known, "per_view": tuple(result["per_view"])})
 
     def __repr__(self) -> str:
-        return (f"<clsplat.Score of {self.views} views: PSNR {self.psnr:.2f} dB "
-                f"({self.psnr_cc:.2f} after the colour fit), SSIM {self.ssim:.4f}>")
+        return (
+            f"<clsplat.Score of {self.views} views: PSNR {self.psnr:.2f} dB "
+            f"({self.psnr_cc:.2f} after the colour fit), SSIM {self.ssim:.4f}>"
+        )
 
     def _repr_html_(self) -> str:
         rows = {"held-out views": str(self.views)}
         for name, plain, fitted, digits, unit in (
-                ("PSNR", self.psnr, self.psnr_cc, 2, " dB"),
-                ("SSIM", self.ssim, self.ssim_cc, 4, ""),
-                ("FLIP, lower is better", self.flip, self.flip_cc, 4, ""),
-                ("LPIPS, lower is better", self.lpips, self.lpips_cc, 4, ""),
-                ("PSNR from aligned poses", self.psnr_aligned, self.psnr_cc_aligned, 2, " dB")):
+            ("PSNR", self.psnr, self.psnr_cc, 2, " dB"),
+            ("SSIM", self.ssim, self.ssim_cc, 4, ""),
+            ("FLIP, lower is better", self.flip, self.flip_cc, 4, ""),
+            ("LPIPS, lower is better", self.lpips, self.lpips_cc, 4, ""),
+            ("PSNR from aligned poses", self.psnr_aligned, self.psnr_cc_aligned, 2, " dB"),
+        ):
             if plain is not None:
                 rows[name] = f"{plain:.{digits}f}{unit} ({fitted:.{digits}f} after the colour fit)"
         return table(rows)
 
 
-def evaluate(model: Gaussians, scene: Scene, *, device: OpenedDevice | None = None,
-             test_every: int = 8, test_offset: int = 0, near: float | None = None,
-             antialiased: bool = False, background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-             lpips: str | PathLike[str] | None = None, align: bool = False) -> Score:
+def evaluate(
+    model: Gaussians,
+    scene: Scene,
+    *,
+    device: OpenedDevice | None = None,
+    test_every: int = 8,
+    test_offset: int = 0,
+    near: float | None = None,
+    antialiased: bool = False,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    lpips: str | PathLike[str] | None = None,
+    align: bool = False,
+) -> Score:
     """Compare renders of a model with the held-out photos of a scene.
 
     Parameters
@@ -113,8 +125,16 @@ def evaluate(model: Gaussians, scene: Scene, *, device: OpenedDevice | None = No
     views = scene.split(test_every, test_offset)[1] if test_every else scene.views
     if not views:
         raise InputError(f"{scene.name}: no view is held out; use another test_every")
-    renderer, rows = open_model(opened_device(device), model.moved(scene.offset),
-                                scene.near(near or 0), antialiased, background)
-    return Score.of(evaluate_views(renderer, rows, model.sh_degree, views,
-                                   metrics=final_metrics(lpips),
-                                   align=depth_to_align(scene) if align else 0.0))
+    renderer, rows = open_model(
+        opened_device(device), model.moved(scene.offset), scene.near(near or 0), antialiased, background
+    )
+    return Score.of(
+        evaluate_views(
+            renderer,
+            rows,
+            model.sh_degree,
+            views,
+            metrics=final_metrics(lpips),
+            align=depth_to_align(scene) if align else 0.0,
+        )
+    )

@@ -28,10 +28,17 @@ from clsplat.training.part import Part
 from clsplat.training.recorder import Callback
 
 
-def train(scene: Scene | str | PathLike[str], options: TrainOptions | None = None, *,
-          output: str | PathLike[str] | None = None, device: Device | None = None,
-          parts: Iterable[Part] = (), schedule: type[Schedule] | None = None,
-          overwrite: bool = False, callbacks: Iterable[Callback] = ()) -> Run:
+def train(
+    scene: Scene | str | PathLike[str],
+    options: TrainOptions | None = None,
+    *,
+    output: str | PathLike[str] | None = None,
+    device: Device | None = None,
+    parts: Iterable[Part] = (),
+    schedule: type[Schedule] | None = None,
+    overwrite: bool = False,
+    callbacks: Iterable[Callback] = (),
+) -> Run:
     """Train gaussians on a scene; the same as `clsplat train`.
 
     Parameters
@@ -46,8 +53,16 @@ def train(scene: Scene | str | PathLike[str], options: TrainOptions | None = Non
     ------
     clsplat.ClsplatError : if the scene, an option or the folder cannot be used.
     """
-    trainer = Trainer(scene, options, output=output, device=device, parts=parts, schedule=schedule,
-                      overwrite=overwrite, callbacks=callbacks)
+    trainer = Trainer(
+        scene,
+        options,
+        output=output,
+        device=device,
+        parts=parts,
+        schedule=schedule,
+        overwrite=overwrite,
+        callbacks=callbacks,
+    )
     try:
         with trainer._training.resumable():
             trainer._end()
@@ -90,17 +105,24 @@ class Trainer:
     clsplat.ClsplatError : if the scene, an option or the folder cannot be used.
     """
 
-    def __init__(self, scene: Scene | str | PathLike[str], options: TrainOptions | None = None, *,
-                 output: str | PathLike[str] | None = None, device: Device | None = None,
-                 parts: Iterable[Part] = (), schedule: type[Schedule] | None = None,
-                 overwrite: bool = False, callbacks: Iterable[Callback] = ()) -> None:
+    def __init__(
+        self,
+        scene: Scene | str | PathLike[str],
+        options: TrainOptions | None = None,
+        *,
+        output: str | PathLike[str] | None = None,
+        device: Device | None = None,
+        parts: Iterable[Part] = (),
+        schedule: type[Schedule] | None = None,
+        overwrite: bool = False,
+        callbacks: Iterable[Callback] = (),
+    ) -> None:
         data, chosen, opened = opened_training(scene, options, device, schedule)
         folder = folder_of(output)
         with ExitStack() as opening:
             opening.enter_context(RunFolder(folder).locked())
             run = RunFolder.create(folder, overwrite=overwrite)
-            self._training = loop.Training(data, chosen, opened, run, parts=parts,
-                                           callbacks=callbacks)
+            self._training = loop.Training(data, chosen, opened, run, parts=parts, callbacks=callbacks)
             opening.callback(self._training.session.photos.close)
             self._training.record()
             self._open = opening.pop_all()
@@ -180,8 +202,7 @@ class Trainer:
         self.close()
 
     def __repr__(self) -> str:
-        return (f"<clsplat.Trainer: step {self.iteration} of "
-                f"{self._training.session.options.iterations}>")
+        return f"<clsplat.Trainer: step {self.iteration} of {self._training.session.options.iterations}>"
 
 
 class TrainingStep:
@@ -218,16 +239,20 @@ class TrainingStep:
 
     def _check_latest(self) -> None:
         if self._trainer.iteration != self.iteration:
-            raise InputError(f"step {self.iteration}: the training has gone on; read what you need "
-                             "before the next step")
+            raise InputError(
+                f"step {self.iteration}: the training has gone on; read what you need before the next step"
+            )
 
     def __repr__(self) -> str:
         return f"<clsplat.TrainingStep {self.iteration}: {self.gaussians:,} gaussians>"
 
 
-def opened_training(scene: Scene | str | PathLike[str], options: TrainOptions | None,
-                    device: Device | None, schedule: type[Schedule] | None
-                    ) -> tuple[Scene, Any, Device]:
+def opened_training(
+    scene: Scene | str | PathLike[str],
+    options: TrainOptions | None,
+    device: Device | None,
+    schedule: type[Schedule] | None,
+) -> tuple[Scene, Any, Device]:
     """The scene, the resolved options and the open device; arguments as for Trainer."""
     chosen = resolved(options, schedule)
     data = scene if isinstance(scene, Scene) else read_scene(Path(scene).absolute(), chosen.images)

@@ -60,8 +60,7 @@ class Keys:
     degrees: ArrayLike = math.nan
 
 
-def interpolated(keys: Keys, times: NDArray[np.float64], size: tuple[int, int], degrees: float
-                 ) -> list[Camera]:
+def interpolated(keys: Keys, times: NDArray[np.float64], size: tuple[int, int], degrees: float) -> list[Camera]:
     """The cameras of a film at times within [0, 1].
 
     Positions follow cubic curves that do not overshoot; rotations have continuous angular
@@ -76,14 +75,15 @@ def interpolated(keys: Keys, times: NDArray[np.float64], size: tuple[int, int], 
     """
     positions = scipy.interpolate.PchipInterpolator(keys.times, keys.positions)(times)
     turns = scipy.spatial.transform.RotationSpline(
-        keys.times, scipy.spatial.transform.Rotation.from_matrix(keys.rotations))
+        keys.times, scipy.spatial.transform.Rotation.from_matrix(keys.rotations)
+    )
     own = np.broadcast_to(np.asarray(keys.degrees, np.float64), keys.times.shape)
-    angles = scipy.interpolate.PchipInterpolator(
-        keys.times, np.where(np.isnan(own), degrees, own))(times)
+    angles = scipy.interpolate.PchipInterpolator(keys.times, np.where(np.isnan(own), degrees, own))(times)
     focals = size[0] / (2 * np.tan(np.radians(angles) / 2))
-    return [Camera(*size, (focal, focal), (size[0] / 2, size[1] / 2), rotation,
-                   -rotation @ position)
-            for position, rotation, focal in zip(positions, turns(times).as_matrix(), focals)]
+    return [
+        Camera(*size, (focal, focal), (size[0] / 2, size[1] / 2), rotation, -rotation @ position)
+        for position, rotation, focal in zip(positions, turns(times).as_matrix(), focals)
+    ]
 
 
 def flight(scene: Scene, seconds: float) -> Keys:
@@ -94,8 +94,7 @@ def flight(scene: Scene, seconds: float) -> Keys:
     number = max(2, min(max(4, round(KEYS_A_SECOND * seconds)), count))
     chosen = [scene.views[i].camera for i in np.linspace(0, count - 1, number).round().astype(int)]
     positions = np.array([camera.position for camera in chosen])
-    quaternions = scipy.spatial.transform.Rotation.from_matrix(
-        [camera.rotation for camera in chosen]).as_quat()
+    quaternions = scipy.spatial.transform.Rotation.from_matrix([camera.rotation for camera in chosen]).as_quat()
     # q and -q are the same turn
     opposite = (quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0
     quaternions[1:] *= np.cumprod(np.where(opposite, -1, 1))[:, None]
@@ -104,7 +103,10 @@ def flight(scene: Scene, seconds: float) -> Keys:
     fine = np.linspace(0, number - 1, FINER * max(number, len(times)))
     curve = scipy.ndimage.gaussian_filter1d(
         scipy.interpolate.interp1d(coarse, positions, axis=0)(fine),
-        SMOOTHING * len(fine) / number, axis=0, mode="nearest")
+        SMOOTHING * len(fine) / number,
+        axis=0,
+        mode="nearest",
+    )
     # a way of 0 would stand for two places at one time
     ways = np.linalg.norm(np.diff(curve, axis=0), axis=1)
     ways += LEAST_STEP * (np.abs(positions).max() or 1.0)
@@ -112,14 +114,19 @@ def flight(scene: Scene, seconds: float) -> Keys:
     where = np.interp(times, along / along[-1], fine)
     turns = scipy.ndimage.gaussian_filter1d(
         scipy.interpolate.interp1d(coarse, quaternions, axis=0)(where),
-        TURNING * len(times) / seconds, axis=0, mode="nearest")
-    return Keys(times, world_of(scene, scipy.interpolate.interp1d(fine, curve, axis=0)(where)),
-                scipy.spatial.transform.Rotation.from_quat(turns).as_matrix())
+        TURNING * len(times) / seconds,
+        axis=0,
+        mode="nearest",
+    )
+    return Keys(
+        times,
+        world_of(scene, scipy.interpolate.interp1d(fine, curve, axis=0)(where)),
+        scipy.spatial.transform.Rotation.from_quat(turns).as_matrix(),
+    )
 
 
 def auto(scene: Scene, seconds: float) -> Keys:
-    """The path that suits the photos: over the site and oblique if they look down, else `flight`.
-    """
+    """The path that suits the photos: over the site and oblique if they look down, else `flight`."""
     slopes = [-float(view.camera.rotation[2] @ scene.up) for view in scene.views]
     down = np.median(slopes) >= math.cos(math.radians(LOOKS_DOWN))
     seen = shown_by([view.camera for view in scene.views], scene.points) >= LEAST_VIEWS
@@ -142,8 +149,9 @@ def _overflight(scene: Scene, places: NDArray[np.float64], seconds: float) -> Ke
     distance = float(np.clip(half.min() / beyond, *np.multiply(DISTANCES, abs(height))))
     inside = flat[((low <= flat) & (flat <= high)).all(axis=1)]
     if half[0] > LONG * half[1] and len(inside) > MIDDLE_DEGREE:
-        along = np.linspace(low[0] + min(0.2 * half[0], beyond * distance),
-                            high[0] - min(0.8 * half[0], beyond * distance), 61)
+        along = np.linspace(
+            low[0] + min(0.2 * half[0], beyond * distance), high[0] - min(0.8 * half[0], beyond * distance), 61
+        )
         across = Polynomial.fit(inside[:, 0], inside[:, 1], MIDDLE_DEGREE)(along)
         aims = middle + np.stack([along, across], axis=1) @ plane
         ahead = np.gradient(aims, axis=0)
@@ -154,13 +162,13 @@ def _overflight(scene: Scene, places: NDArray[np.float64], seconds: float) -> Ke
     return replace(_looking_down(scene, aims, ahead, below, distance), degrees=OBLIQUE_DEGREES)
 
 
-def _looking_down(scene: Scene, aims: NDArray[np.float64], ahead: NDArray[np.float64], below: float,
-                  distance: float) -> Keys:
+def _looking_down(
+    scene: Scene, aims: NDArray[np.float64], ahead: NDArray[np.float64], below: float, distance: float
+) -> Keys:
     """Keys at a distance from places [K, 3] at which they look, in horizontal directions [K, 3],
     so many radians below the horizon, at a constant speed."""
     forward = math.cos(below) * ahead - math.sin(below) * scene.up
-    cameras = [Camera.looking_at(aim, aim - distance * each, up=scene.up)
-               for aim, each in zip(aims, forward)]
+    cameras = [Camera.looking_at(aim, aim - distance * each, up=scene.up) for aim, each in zip(aims, forward)]
     positions = world_of(scene, [camera.position for camera in cameras])
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
     return Keys(along / along[-1], positions, np.array([each.rotation for each in cameras]))
@@ -172,22 +180,24 @@ def turntable(scene: Scene) -> Keys:
     It is as far away as the photos, and as high as they allow within ELEVATIONS.
     """
     if not len(scene.points):
-        raise InputError(f"{scene.name}: has no points, so its middle is unknown; make a flight or "
-                         "give a camera path")
+        raise InputError(f"{scene.name}: has no points, so its middle is unknown; make a flight or give a camera path")
     up, middle = scene.up, np.median(scene.points, axis=0)
     away = np.array([view.camera.position for view in scene.views]) - middle
     distances = np.linalg.norm(away, axis=1)
     elevation = np.median(np.arcsin(np.clip(away @ up / np.maximum(distances, 1e-12), -1, 1)))
     ahead = -_headings(scene, 360.0)  # begins as the first view looks
-    return _looking_down(scene, middle + np.zeros_like(ahead), ahead,
-                         float(np.clip(elevation, *np.radians(ELEVATIONS))),
-                         float(np.median(distances)) or scene.extent)
+    return _looking_down(
+        scene,
+        middle + np.zeros_like(ahead),
+        ahead,
+        float(np.clip(elevation, *np.radians(ELEVATIONS))),
+        float(np.median(distances)) or scene.extent,
+    )
 
 
 def film_degrees(scene: Scene) -> float:
     """The horizontal angle of view of the photos, within DEGREES."""
-    angles = [2 * math.degrees(math.atan(view.camera.width / 2 / view.camera.focal[0]))
-              for view in scene.views]
+    angles = [2 * math.degrees(math.atan(view.camera.width / 2 / view.camera.focal[0])) for view in scene.views]
     return float(np.clip(np.median(angles), *DEGREES))
 
 
@@ -209,19 +219,17 @@ def read_camera_path(path: Path) -> Keys:
         if len(frames) == 1:  # the camera stands still
             frames = [{**frames[0], "time": time} for time in (0, 1)]
         matrices = np.array([frame["transform_matrix"] for frame in frames], np.float64)
-        if matrices.shape[1:] not in ((3, 4), (4, 4)) or not (
-                abs(matrices) <= LARGEST_COORDINATE).all():
+        if matrices.shape[1:] not in ((3, 4), (4, 4)) or not (abs(matrices) <= LARGEST_COORDINATE).all():
             raise ValueError("transform_matrix is not a 3x4 or 4x4 matrix of numbers")
-        turns = scipy.spatial.transform.Rotation.from_matrix(
-            (matrices[:, :3, :3] * FLIPPED).transpose(0, 2, 1))
+        turns = scipy.spatial.transform.Rotation.from_matrix((matrices[:, :3, :3] * FLIPPED).transpose(0, 2, 1))
         is_timed = any("time" in frame for frame in frames)
-        times = np.array([number(frame.get("time", None if is_timed else index), "time")
-                          for index, frame in enumerate(frames)])
+        times = np.array(
+            [number(frame.get("time", None if is_timed else index), "time") for index, frame in enumerate(frames)]
+        )
         shares = (times - times[0]) / ((times[-1] - times[0]) or 1)
         if (np.diff(shares) < LEAST_STEP).any():
             raise ValueError("time does not ascend")
-        return Keys(shares, matrices[:, :3, 3], turns.as_matrix(),
-                    [_degrees(frame) for frame in frames])
+        return Keys(shares, matrices[:, :3, 3], turns.as_matrix(), [_degrees(frame) for frame in frames])
 
 
 def _degrees(frame: dict[str, Any]) -> float:

@@ -28,8 +28,9 @@ def check_same_system(first: Surface, second: Surface) -> None:
     """InputError if two surfaces do not have the same coordinates."""
     if first.crs != second.crs:
         names = [(each.crs or "no georeference")[:40] for each in (first, second)]
-        raise InputError(f"{second.path}: is in {names[1]}, and {first.path} in {names[0]}; "
-                         "convert one with gdalwarp -t_srs")
+        raise InputError(
+            f"{second.path}: is in {names[1]}, and {first.path} in {names[0]}; convert one with gdalwarp -t_srs"
+        )
 
 
 def middles(grid: MapGrid) -> tuple[Heights, Heights]:
@@ -67,7 +68,7 @@ def noise_of(difference: Heights, pixel: float, area: float) -> float | None:
     """
     side = max(1, round(math.sqrt(area) / pixel))
     rows, columns = (size // side for size in difference.shape)
-    squares = difference[:rows * side, :columns * side].reshape(rows, side, columns, side)
+    squares = difference[: rows * side, : columns * side].reshape(rows, side, columns, side)
     known = np.isfinite(squares).sum(axis=(1, 3))
     means = np.nansum(squares, axis=(1, 3))[known > side**2 / 2] / known[known > side**2 / 2]
     return NORMAL * float(np.median(np.abs(means))) * area if len(means) >= LEAST_PLACES else None

@@ -46,8 +46,7 @@ class Source:
         """Read the model of a run's folder or of a file; InputError if it cannot be read."""
         if path.is_dir():
             run = Run.open(path)
-            model, notes = run.finished_model, Notes(
-                (mode_comment(run.options.antialiased),), run.up, run.georeference)
+            model, notes = run.finished_model, Notes((mode_comment(run.options.antialiased),), run.up, run.georeference)
         else:
             run, (model, notes) = None, read_with_notes(path)
         return cls(path, shown(model, path).without_spheres(), notes, run)
@@ -55,20 +54,20 @@ class Source:
     def kept(self, keep: NDArray[np.bool_]) -> Source:
         """The source with some of its gaussians, bool[N]; InputError if none is left."""
         if not keep.any():
-            raise InputError(f"{self.path}: none of its {len(keep):,} gaussians would be left; "
-                             "check the units and the coordinates of what you gave")
+            raise InputError(
+                f"{self.path}: none of its {len(keep):,} gaussians would be left; "
+                "check the units and the coordinates of what you gave"
+            )
         return replace(self, gaussians=selected(self.gaussians, keep))
 
-    def transformed(self, scale: float, rotation: NDArray[np.float64] | None,
-                    translation: Sequence[float]) -> Source:
+    def transformed(self, scale: float, rotation: NDArray[np.float64] | None, translation: Sequence[float]) -> Source:
         """The source after a `transform.transformed`; only a translation keeps the georeference."""
         notes = self.notes
         if rotation is not None and notes.up is not None:
             notes = replace(notes, up=rotation @ notes.up)
         if scale != 1 or rotation is not None:
             notes = replace(notes, georeference=None)
-        return replace(self, notes=notes, gaussians=transformed(
-            self.gaussians, scale, rotation, translation))
+        return replace(self, notes=notes, gaussians=transformed(self.gaussians, scale, rotation, translation))
 
     def support(self, scene_path: Path | None) -> NDArray[np.int64]:
         """int64[N]: how many photos show the place of each gaussian, hidden there or not.
@@ -82,8 +81,7 @@ class Source:
         elif scene_path is not None:
             scene = read_scene(scene_path)
         else:
-            raise InputError(f"--min-support: {self.path} is a file, whose photos are unknown; "
-                             "name them with --scene")
+            raise InputError(f"--min-support: {self.path} is a file, whose photos are unknown; name them with --scene")
         return support(self.gaussians, in_original(scene))
 
     def in_box(self, box: Sequence[float]) -> NDArray[np.bool_]:
@@ -91,8 +89,9 @@ class Source:
         original coordinates."""
         low, high = np.array(box, np.float64).reshape(2, 3)
         if not (low < high).all():
-            raise InputError("--box: is empty; give the lowest x, y and z, then the highest (inf "
-                             "and -inf leave a side open)")
+            raise InputError(
+                "--box: is empty; give the lowest x, y and z, then the highest (inf and -inf leave a side open)"
+            )
         points = self._points()
         return np.asarray(((points >= low) & (points <= high)).all(axis=1))
 
@@ -110,15 +109,18 @@ class Source:
         if text.lower().endswith(GEOJSON):
             polygons, crs = read_polygons(Path(text))
             if crs and place is None:
-                raise InputError(f"--polygon {text[:60]}: {self.path} has no georeference, so its "
-                                 "place on a map is unknown; give corners in its own coordinates")
+                raise InputError(
+                    f"--polygon {text[:60]}: {self.path} has no georeference, so its "
+                    "place on a map is unknown; give corners in its own coordinates"
+                )
             crs = crs or DEGREES
         else:
             try:
                 polygons = [[_ring([corner.split(",") for corner in text.split()])]]
             except ValueError:
-                raise InputError(f"--polygon {text[:60]}: expects at least three corners such as "
-                                 "\"0,0 10,0 10,10\", or a GeoJSON file") from None
+                raise InputError(
+                    f'--polygon {text[:60]}: expects at least three corners such as "0,0 10,0 10,10", or a GeoJSON file'
+                ) from None
         if crs and place is not None:
             convert = conversion(crs, place.crs, "--polygon")
             polygons = [[convert(ring) - place.offset[:2] for ring in rings] for rings in polygons]
@@ -126,8 +128,7 @@ class Source:
         points = self._points() @ map_axes(up).T
         inside = np.zeros(len(points), bool)
         for rings in polygons:
-            inside |= np.logical_xor.reduce([
-                skimage.measure.points_in_poly(points, ring) for ring in rings])
+            inside |= np.logical_xor.reduce([skimage.measure.points_in_poly(points, ring) for ring in rings])
         return inside
 
     def _points(self) -> NDArray[np.float64]:
@@ -149,15 +150,18 @@ def joined(sources: Sequence[Source]) -> Source:
         gaussians, other = source.gaussians, source.notes.georeference
         if source.notes.antialiased != first.notes.antialiased:
             how = "with" if source.notes.antialiased else "without"
-            raise InputError(f"{source.path}: was trained {how} --antialiased, unlike "
-                             f"{first.path}, so no renderer draws both rightly; train one of them "
-                             "again")
+            raise InputError(
+                f"{source.path}: was trained {how} --antialiased, unlike "
+                f"{first.path}, so no renderer draws both rightly; train one of them "
+                "again"
+            )
         if place is not None and other is not None:
             if other.crs != place.crs:
-                raise InputError(f"{source.path}: has the CRS {other.crs[:60]}, {first.path} has "
-                                 f"{place.crs[:60]}; georeference both scenes with the same --crs")
-            gaussians = gaussians.located(gaussians.offset + np.subtract(
-                other.offset, place.offset))
+                raise InputError(
+                    f"{source.path}: has the CRS {other.crs[:60]}, {first.path} has "
+                    f"{place.crs[:60]}; georeference both scenes with the same --crs"
+                )
+            gaussians = gaussians.located(gaussians.offset + np.subtract(other.offset, place.offset))
         models.append(gaussians)
     return replace(first, gaussians=merged(models), run=None)
 
@@ -179,8 +183,10 @@ def read_polygons(path: str | Path) -> tuple[list[Polygon], str]:
 def _polygons(item: Any) -> Iterator[Polygon]:
     """The polygons of a geometry, a feature or a collection."""
     match item:
-        case ({"type": "FeatureCollection", "features": [*members]}
-              | {"type": "GeometryCollection", "geometries": [*members]}):
+        case {"type": "FeatureCollection", "features": [*members]} | {
+            "type": "GeometryCollection",
+            "geometries": [*members],
+        }:
             for member in members:
                 yield from _polygons(member)
         case {"type": "Feature", "geometry": geometry}:

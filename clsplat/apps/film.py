@@ -37,12 +37,17 @@ Pixels = NDArray[np.uint8]  # [H, W, 3]
 def check_codec() -> None:
     """InputError if av, which encodes films, is not installed."""
     if av is None:
-        raise InputError("films need av, which is not installed: pip install av; or give a folder "
-                         "for PNG files")
+        raise InputError("films need av, which is not installed: pip install av; or give a folder for PNG files")
 
 
-def frames(run: Run, scene: Scene, cameras: Iterable[Camera], device: Device,
-           host_bytes: float = HOST_BYTES, everything: bool = False) -> Iterable[Pixels]:
+def frames(
+    run: Run,
+    scene: Scene,
+    cameras: Iterable[Camera],
+    device: Device,
+    host_bytes: float = HOST_BYTES,
+    everything: bool = False,
+) -> Iterable[Pixels]:
     """Draw a finished run.
 
     Parameters
@@ -52,6 +57,7 @@ def frames(run: Run, scene: Scene, cameras: Iterable[Camera], device: Device,
     host_bytes : for a tree; see `TreeRenderer`.
     everything : whether gaussians that are not `supported` are drawn, as a tree's always are.
     """
+
     def supported_model() -> Gaussians:
         model = run.finished_model
         return model if everything else selected(model, supported(model, in_original(scene)))
@@ -64,8 +70,13 @@ def frames(run: Run, scene: Scene, cameras: Iterable[Camera], device: Device,
         yield eight_bits(frame.image.download().transpose(1, 2, 0))
 
 
-def write_film(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], rate: Fraction,
-               shown: Callable[[int], object] = lambda _: None) -> None:
+def write_film(
+    path: Path,
+    pictures: Iterable[Pixels],
+    size: tuple[int, int],
+    rate: Fraction,
+    shown: Callable[[int], object] = lambda _: None,
+) -> None:
     """Replace a film: H.264 with 4:2:0 colours, which every player shows.
 
     Parameters
@@ -83,8 +94,7 @@ def write_film(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], ra
     kind = {".mkv": "matroska"}.get(path.suffix.lower(), path.suffix.lower()[1:])
     # the index first, so that a page can play the film while it loads
     options = {} if kind == "matroska" else {"movflags": "faststart"}
-    with replacing(path) as file, av.open(file.name, mode="w", format=kind,
-                                          options=options) as container:
+    with replacing(path) as file, av.open(file.name, mode="w", format=kind, options=options) as container:
         stream: Any = container.add_stream("libx264", rate=rate)
         stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
         stream.options = {"crf": QUALITY}
@@ -98,8 +108,7 @@ def write_film(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], ra
         container.mux(stream.encode())
 
 
-def write_frames(folder: Path, pictures: Iterable[Pixels],
-                 shown: Callable[[int], object] = lambda _: None) -> None:
+def write_frames(folder: Path, pictures: Iterable[Pixels], shown: Callable[[int], object] = lambda _: None) -> None:
     """Write FOLDER/frame_00001.png and so on, in place of `frames_in` the folder, which is created
     if it is missing; other arguments as for `write_film`."""
     make_folder(folder)

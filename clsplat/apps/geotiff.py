@@ -41,19 +41,34 @@ class Raster:
     uint8; and uint8 red, green, blue and alpha if that is None. `bands` are their names and units;
     without a CRS its coordinates are local."""
 
-    def __init__(self, path: Path, grid: MapGrid, crs: str | None,
-                 bands: Mapping[str, str | None], nodata: float | None) -> None:
+    def __init__(
+        self, path: Path, grid: MapGrid, crs: str | None, bands: Mapping[str, str | None], nodata: float | None
+    ) -> None:
         self._path, self.grid, colour = path, grid, nodata is None
         self._bands, self._nodata = dict(bands), nodata
         self._dtype = np.dtype(np.float32 if nodata is not None and np.isnan(nodata) else np.uint8)
         with _writing(path.parent.parent):
             self._file = rasterio.open(
-                path, "w", driver="GTiff", width=grid.columns, height=grid.rows, count=len(bands),
-                dtype=self._dtype.name, crs=crs, tiled=True, transform=rasterio.Affine(
-                    grid.resolution, 0, grid.left, 0, -grid.resolution, grid.top),
-                blockxsize=TILE, blockysize=TILE, compress="DEFLATE", nodata=nodata,
-                predictor=2 if self._dtype == np.uint8 else 3, alpha="YES" if colour else "NO",
-                photometric="RGB" if colour else "MINISBLACK", bigtiff="IF_SAFER", sparse_ok=True)
+                path,
+                "w",
+                driver="GTiff",
+                width=grid.columns,
+                height=grid.rows,
+                count=len(bands),
+                dtype=self._dtype.name,
+                crs=crs,
+                tiled=True,
+                transform=rasterio.Affine(grid.resolution, 0, grid.left, 0, -grid.resolution, grid.top),
+                blockxsize=TILE,
+                blockysize=TILE,
+                compress="DEFLATE",
+                nodata=nodata,
+                predictor=2 if self._dtype == np.uint8 else 3,
+                alpha="YES" if colour else "NO",
+                photometric="RGB" if colour else "MINISBLACK",
+                bigtiff="IF_SAFER",
+                sparse_ok=True,
+            )
         for number, (name, unit) in enumerate(bands.items(), 1):
             self._file.set_band_description(number, name)
             self._file.set_band_unit(number, unit or "")
@@ -61,19 +76,19 @@ class Raster:
     @property
     def bands(self) -> list[dict[str, Any]]:
         """The name, type, value of what is unknown and unit of each band, as STAC writes them."""
-        nodata = {} if self._nodata is None else {
-            "nodata": "nan" if math.isnan(self._nodata) else self._nodata}
-        return [{"name": name, "data_type": self._dtype.name, **nodata,
-                 **({"unit": unit} if unit else {})} for name, unit in self._bands.items()]
+        nodata = {} if self._nodata is None else {"nodata": "nan" if math.isnan(self._nodata) else self._nodata}
+        return [
+            {"name": name, "data_type": self._dtype.name, **nodata, **({"unit": unit} if unit else {})}
+            for name, unit in self._bands.items()
+        ]
 
     def write(self, place: Place, values: NDArray[Any]) -> None:
         """Replace a square of pixels [S, S, bands], `place` squares (across, down) from the upper
         left corner; what lies beyond the raster is left out."""
         left, top = len(values) * place[0], len(values) * place[1]
-        inner = values[:self.grid.rows - top, :self.grid.columns - left].astype(self._dtype)
+        inner = values[: self.grid.rows - top, : self.grid.columns - left].astype(self._dtype)
         with _writing(self._path.parent.parent):
-            self._file.write(np.moveaxis(inner, -1, 0),
-                             window=Window(left, top, inner.shape[1], inner.shape[0]))
+            self._file.write(np.moveaxis(inner, -1, 0), window=Window(left, top, inner.shape[1], inner.shape[0]))
 
     def finish(self, tags: Mapping[str, str]) -> None:
         """Add tags and overviews, halves of halves down to one tile, and end the writing."""
@@ -111,8 +126,16 @@ class Raster:
         partial = self._path.with_name(path.name)
         with _writing(path):
             rasterio.shutil.copy(
-                self._path, partial, driver="COG", compress="DEFLATE", predictor="YES",
-                blocksize=TILE, overviews="AUTO", bigtiff="IF_SAFER", geotiff_version="1.1")
+                self._path,
+                partial,
+                driver="COG",
+                compress="DEFLATE",
+                predictor="YES",
+                blocksize=TILE,
+                overviews="AUTO",
+                bigtiff="IF_SAFER",
+                geotiff_version="1.1",
+            )
             os.replace(partial, path)
 
     def _at(self, level: int) -> Any:
@@ -147,17 +170,20 @@ class Surface:
         """The rows and the columns with (left, bottom, right, top), and a pixel more; perhaps
         none."""
         sides = self.grid.pixels([bounds[::3], bounds[2:0:-1]]) + [[-1], [2]]
-        (left, top), (right, bottom) = np.clip(
-            sides, 0, (self.grid.columns, self.grid.rows)).astype(int).tolist()
+        (left, top), (right, bottom) = np.clip(sides, 0, (self.grid.columns, self.grid.rows)).astype(int).tolist()
         return slice(top, bottom), slice(left, right)
 
     def within(self, bounds: Bounds) -> "Surface":
         """The part of `slices`."""
         rows, columns = self.slices(bounds)
         size = self.grid.resolution
-        grid = replace(self.grid, left=self.grid.left + columns.start * size,
-                       top=self.grid.top - rows.start * size, rows=rows.stop - rows.start,
-                       columns=columns.stop - columns.start)
+        grid = replace(
+            self.grid,
+            left=self.grid.left + columns.start * size,
+            top=self.grid.top - rows.start * size,
+            rows=rows.stop - rows.start,
+            columns=columns.stop - columns.start,
+        )
         return replace(self, grid=grid, heights=self.heights[rows, columns])
 
 
@@ -176,44 +202,60 @@ def read_surface(path: Path, bounds: Bounds | None = None, most: int = MOST_SIDE
         with bounded_memory(), np.errstate(invalid="ignore"), rasterio.open(path) as file:
             crs, size = _checked(path, file), file.transform.a
             vertical = file.tags().get(VERTICAL, "")
-            whole = MapGrid(np.eye(3), np.zeros(3), file.transform.c, file.transform.f, size,
-                            file.width, file.height, math.inf)
+            whole = MapGrid(
+                np.eye(3), np.zeros(3), file.transform.c, file.transform.f, size, file.width, file.height, math.inf
+            )
             sides = np.array([[0, 0], [file.width, file.height]], np.float64)
             if bounds is not None:
                 sides = whole.pixels([bounds[::3], bounds[2:0:-1]]) + [[-2], [2]]
             (left, top), (right, bottom) = np.clip(sides, 0, (file.width, file.height)).astype(int)
-            factor = 2**max(0, math.ceil(math.log2(max(right - left, bottom - top, 1) / most)))
+            factor = 2 ** max(0, math.ceil(math.log2(max(right - left, bottom - top, 1) / most)))
             left, top = (factor * (int(place) // factor) for place in (left, top))
             columns, rows = int(right - left) // factor, int(bottom - top) // factor
             if not (columns and rows):
-                raise InputError(f"{path}: the place lies beyond it; compare the coordinates with "
-                                 "those of the map")
-            heights = file.read(1, window=Window(left, top, factor * columns, factor * rows),
-                                out_shape=(rows, columns), masked=True,
-                                resampling=Resampling.average).astype(np.float64).filled(np.nan)
-            grid = replace(whole, left=whole.left + left * size, top=whole.top - top * size,
-                           resolution=size * factor, columns=columns, rows=rows)
+                raise InputError(f"{path}: the place lies beyond it; compare the coordinates with those of the map")
+            heights = (
+                file.read(
+                    1,
+                    window=Window(left, top, factor * columns, factor * rows),
+                    out_shape=(rows, columns),
+                    masked=True,
+                    resampling=Resampling.average,
+                )
+                .astype(np.float64)
+                .filled(np.nan)
+            )
+            grid = replace(
+                whole,
+                left=whole.left + left * size,
+                top=whole.top - top * size,
+                resolution=size * factor,
+                columns=columns,
+                rows=rows,
+            )
     except GDAL_ERRORS as error:
-        raise InputError(f"{path}: cannot be read as a GeoTIFF ({reason(error)}); give a "
-                         "surface.tif of `clsplat map`") from None
+        raise InputError(
+            f"{path}: cannot be read as a GeoTIFF ({reason(error)}); give a surface.tif of `clsplat map`"
+        ) from None
     heights[~np.isfinite(heights)] = np.nan
     if bounds is None and np.isnan(heights).all():
         raise InputError(f"{path}: has no heights; make the map anew, of places that photos show")
     return Surface(path, grid, heights, crs, vertical)
 
 
-def coverage(grid: MapGrid, parts: Sequence[Sequence[NDArray[np.float64]]]
-             ) -> NDArray[np.float64]:
+def coverage(grid: MapGrid, parts: Sequence[Sequence[NDArray[np.float64]]]) -> NDArray[np.float64]:
     """The share of each pixel, [rows, columns], within polygons; of each its rings [N, 2], the
     outer one first."""
     if not (grid.columns and grid.rows):
         return np.zeros((grid.rows, grid.columns))
-    shapes = [{"type": "Polygon", "coordinates": [ring.tolist() for ring in part]}
-              for part in parts]
+    shapes = [{"type": "Polygon", "coordinates": [ring.tolist() for ring in part]} for part in parts]
     step = grid.resolution / FINER
     inside = rasterio.features.geometry_mask(
-        shapes, (FINER * grid.rows, FINER * grid.columns),
-        rasterio.Affine(step, 0, grid.left, 0, -step, grid.top), invert=True)
+        shapes,
+        (FINER * grid.rows, FINER * grid.columns),
+        rasterio.Affine(step, 0, grid.left, 0, -step, grid.top),
+        invert=True,
+    )
     shares: NDArray[np.float64] = inside.reshape(grid.rows, FINER, grid.columns, FINER).mean((1, 3))
     return shares
 
@@ -222,18 +264,26 @@ def _checked(path: Path, file: Any) -> str | None:
     """The CRS of an open raster; InputError unless it holds heights on a map."""
     place = file.transform
     if file.count > 2 or file.dtypes[0] == "uint8":
-        raise InputError(f"{path}: has {file.count} bands of {file.dtypes[0]}, as pictures have, "
-                         "not heights; give a surface.tif or terrain.tif of `clsplat map`")
-    if not np.isfinite(place[:6]).all() or place.a <= 0 or max(
-            abs(place.b), abs(place.d), abs(place.a + place.e)) > NORTH_UP * abs(place.a):
-        raise InputError(f"{path}: its pixels are not square with north at the top; convert it "
-                         "with gdalwarp -tr SIZE SIZE")
+        raise InputError(
+            f"{path}: has {file.count} bands of {file.dtypes[0]}, as pictures have, "
+            "not heights; give a surface.tif or terrain.tif of `clsplat map`"
+        )
+    if (
+        not np.isfinite(place[:6]).all()
+        or place.a <= 0
+        or max(abs(place.b), abs(place.d), abs(place.a + place.e)) > NORTH_UP * abs(place.a)
+    ):
+        raise InputError(
+            f"{path}: its pixels are not square with north at the top; convert it with gdalwarp -tr SIZE SIZE"
+        )
     if file.crs is None:
         return None
     crs = normal_crs(file.crs.to_wkt(), str(path))
     if not has_metres(pyproj_crs(crs, str(path))) or heights_of(crs).metres != 1:
-        raise InputError(f"{path}: its coordinates or heights are not metres; convert it with "
-                         "gdalwarp -t_srs to a projected system such as EPSG:32632")
+        raise InputError(
+            f"{path}: its coordinates or heights are not metres; convert it with "
+            "gdalwarp -t_srs to a projected system such as EPSG:32632"
+        )
     return crs
 
 
@@ -243,8 +293,9 @@ def _writing(path: Path) -> Iterator[None]:
     try:
         yield
     except GDAL_ERRORS as error:
-        raise InputError(f"{path}: cannot be written ({reason(error)}); free some space, and check "
-                         "that the folder may be written") from None
+        raise InputError(
+            f"{path}: cannot be written ({reason(error)}); free some space, and check that the folder may be written"
+        ) from None
 
 
 def bounded_memory() -> Any:

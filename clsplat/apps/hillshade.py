@@ -42,8 +42,7 @@ def hillshade(heights: NDArray[np.floating], resolution: float) -> NDArray[np.ui
     """
     known = np.isfinite(heights)
     level = nearest(heights.astype(np.float64), known)
-    east, south = (scipy.ndimage.sobel(level, axis, mode="nearest") / (8 * resolution)
-                   for axis in (1, 0))
+    east, south = (scipy.ndimage.sobel(level, axis, mode="nearest") / (8 * resolution) for axis in (1, 0))
     azimuth, altitude = np.radians(SUN)
     towards = -east * math.sin(azimuth) + south * math.cos(azimuth)
     light = (math.sin(altitude) + math.cos(altitude) * towards) / np.sqrt(1 + east**2 + south**2)

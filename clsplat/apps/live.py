@@ -29,8 +29,9 @@ def live_page(title: str, view: dict[str, Any]) -> str:
     return filled("live.html", title=escape(title), model=script_json(view))
 
 
-def show_run(run: Run, device: Device, opened: Callable[[str], object], port: int = 0,
-             host_bytes: float = HOST_BYTES) -> NoReturn:
+def show_run(
+    run: Run, device: Device, opened: Callable[[str], object], port: int = 0, host_bytes: float = HOST_BYTES
+) -> NoReturn:
     """Serve a page of a run's model, and draw its frames, until KeyboardInterrupt.
 
     Parameters
@@ -45,13 +46,17 @@ def show_run(run: Run, device: Device, opened: Callable[[str], object], port: in
     ------
     InputError : there is no model, or the port cannot be opened.
     """
-    renderer, rows, model = open_shown(run, device, near_of(run), host_bytes,
-                                       partial(latest_model, run.folder))
-    positions = (model.read(len(model.nodes) - 1, "positions")  # of the root
-                 if isinstance(model, Tree) else model.positions)
+    renderer, rows, model = open_shown(run, device, near_of(run), host_bytes, partial(latest_model, run.folder))
+    positions = (
+        model.read(len(model.nodes) - 1, "positions")  # of the root
+        if isinstance(model, Tree)
+        else model.positions
+    )
     view = run.first_view.shifted(model.offset - run.first_view.offset)
-    page = live_page(full_name(run.path, run.record), view_record(
-        view, run.up, positions, photos_of(run), place_record(run.georeference, model.offset)))
+    page = live_page(
+        full_name(run.path, run.record),
+        view_record(view, run.up, positions, photos_of(run), place_record(run.georeference, model.offset)),
+    )
     requests = FrameRequests()
     with ViewServer(page, requests, lambda: {"gaussians": model.count}, port) as server:
         opened(server.address)
@@ -79,9 +84,16 @@ class TrainingView(ViewServer, SilentProgress):
         self._inner = progress or SilentProgress()
         self._drawn_until = self._seconds = 0.0
         self._status: dict[str, Any] = {"phase": "beginning", "message": "", "losses": []}
-        page = live_page(scene.name, view_record(
-            scene.first_view, scene.up, scene.points, [view.camera for view in scene.views],
-            place_record(scene.georeference, scene.offset)))
+        page = live_page(
+            scene.name,
+            view_record(
+                scene.first_view,
+                scene.up,
+                scene.points,
+                [view.camera for view in scene.views],
+                place_record(scene.georeference, scene.offset),
+            ),
+        )
         super().__init__(page, FrameRequests(), lambda: self._status, port)
 
     # --- as a progress line
@@ -121,9 +133,14 @@ class TrainingView(ViewServer, SilentProgress):
         begin = time.perf_counter()
         # gives its memory to the frame; an error of a step under way belongs to the training
         session.step.release()
-        request.attempt(lambda: request.drawn(
-            CurrentRenderer(session.renderer), session.model, session.options.sh_degree,
-            session.scene.unit / self._unit))
+        request.attempt(
+            lambda: request.drawn(
+                CurrentRenderer(session.renderer),
+                session.model,
+                session.options.sh_degree,
+                session.scene.unit / self._unit,
+            )
+        )
         session.step.release()
         self._drawn_until = time.perf_counter()
         self._seconds = self._drawn_until - begin

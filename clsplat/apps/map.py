@@ -73,10 +73,19 @@ Heights = NDArray[np.floating]  # [H, W], nan: unknown
 ContourLine = tuple[float, NDArray[np.float64]]  # its height, and (column, row) [N, 2] along it
 
 
-def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Path, *,
-              interval: float | None = None, terrain: float | None = None, follow: bool = False,
-              whole: Scene | None = None, progress: SilentProgress | None = None
-              ) -> dict[str, Any]:
+def write_map(
+    run: Run,
+    scene: Scene,
+    grid: MapGrid,
+    device: Device,
+    folder: Path,
+    *,
+    interval: float | None = None,
+    terrain: float | None = None,
+    follow: bool = False,
+    whole: Scene | None = None,
+    progress: SilentProgress | None = None,
+) -> dict[str, Any]:
     """Write the map of a run into a folder; the files of an earlier map are replaced or removed.
 
     Parameters
@@ -112,23 +121,28 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         statement = _stated(whole, photos)
         units = dict.fromkeys(HEIGHTS_OF, unit)
         colours = Raster(Path(scratch) / "colours", grid, crs, COLOURS, None)
-        drawn, surface = (Raster(Path(scratch) / name, grid, crs, units, np.nan)
-                          for name in ("drawn", "surface"))
+        drawn, surface = (Raster(Path(scratch) / name, grid, crs, units, np.nan) for name in ("drawn", "surface"))
         _draw(run, scene, grid, extent, device, (colours, drawn), progress)
         progress.phase("leaving out pits")
         dropped = _copy_without_pits(colours, drawn, surface)
         progress.phase("making overviews")
-        tags = {"TIFFTAG_SOFTWARE": "clsplat", **{
-            name.upper(): value if isinstance(value, str) else json.dumps(value)
-            for name, value in statement.items()}}
+        tags = {
+            "TIFFTAG_SOFTWARE": "clsplat",
+            **{
+                name.upper(): value if isinstance(value, str) else json.dumps(value)
+                for name, value in statement.items()
+            },
+        }
         for raster in (colours, surface):
             raster.finish(tags)
         level = surface.level(CONTOUR_SIDE)
         heights = surface.whole(level)[..., 0]
         if not np.isfinite(heights).any():
-            raise InputError(f"{run.path}: everywhere on the map, the model is transparent or "
-                             "fewer than two photos show the place; train longer, or give other "
-                             "--bounds")
+            raise InputError(
+                f"{run.path}: everywhere on the map, the model is transparent or "
+                "fewer than two photos show the place; train longer, or give other "
+                "--bounds"
+            )
         if interval is None:
             interval = _contour_interval(heights)
         if interval:
@@ -137,16 +151,13 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         rasters, ground = {ORTHOPHOTO: colours, SURFACE: surface}, dict[str, Any]()
         if terrain is not None:
             progress.phase("finding the ground")
-            bare = Raster(Path(scratch) / "bare", grid, crs, dict(zip(GROUND_OF, (unit, None))),
-                          np.nan)
-            ground["terrain"] = {"width": terrain,
-                                 "ground": write_terrain(surface, bare, terrain)}
+            bare = Raster(Path(scratch) / "bare", grid, crs, dict(zip(GROUND_OF, (unit, None))), np.nan)
+            ground["terrain"] = {"width": terrain, "ground": write_terrain(surface, bare, terrain)}
             bare.finish(tags)
             rasters[TERRAIN] = bare
         progress.phase("shading")
         for source in [name for name in SHADING if name in rasters]:
-            shade = Raster(Path(scratch) / f"shade of {source}", grid, crs, {"hillshade": None},
-                           NODATA)
+            shade = Raster(Path(scratch) / f"shade of {source}", grid, crs, {"hillshade": None}, NODATA)
             write_hillshade(rasters[source], shade)
             shade.finish(tags | TAGS)
             rasters[SHADING[source]] = shade
@@ -157,48 +168,71 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         short = "m" if crs else "scene units"
         files = [*rasters, PREVIEW, *write_styles(folder, rasters, small, short)]
         with replacing(folder / PREVIEW) as file:
-            write_preview(file, colours.whole(small), surface.whole(small)[..., 0],
-                          [line * 2.0**(level - small) for _, line in lines],
-                          grid.resolution * 2**small, interval, unit)
+            write_preview(
+                file,
+                colours.whole(small),
+                surface.whole(small)[..., 0],
+                [line * 2.0 ** (level - small) for _, line in lines],
+                grid.resolution * 2**small,
+                interval,
+                unit,
+            )
         if interval:
             _write_contours(folder / CONTOURS, lines, grid, level, crs)
             files.append(CONTOURS)
         known = heights[np.isfinite(heights)]
         record = {
-            "crs": crs, "unit": unit, "resolution": grid.resolution,
-            "columns": grid.columns, "rows": grid.rows, "bounds": grid.bounds,
+            "crs": crs,
+            "unit": unit,
+            "resolution": grid.resolution,
+            "columns": grid.columns,
+            "rows": grid.rows,
+            "bounds": grid.bounds,
             "heights": np.quantile(known, HEIGHTS).tolist(),
-            "covered": float(len(known) / heights.size), "contour_interval": interval,
-            "pits": dropped, **ground, **statement,
-            "bands": {name: [band["name"] for band in raster.bands]
-                      for name, raster in rasters.items()},
-            "axes": grid.axes.tolist(), "origin": grid.origin.tolist(),
-            "files": [*files, REPORT, *[ITEM] * bool(crs and photos.period)]}
+            "covered": float(len(known) / heights.size),
+            "contour_interval": interval,
+            "pits": dropped,
+            **ground,
+            **statement,
+            "bands": {name: [band["name"] for band in raster.bands] for name, raster in rasters.items()},
+            "axes": grid.axes.tolist(),
+            "origin": grid.origin.tolist(),
+            "files": [*files, REPORT, *[ITEM] * bool(crs and photos.period)],
+        }
         progress.phase("writing the report")
         name = as_utf8(run.path.resolve().name)
         write_report(folder / REPORT, name, survey_of(whole), photos, rasters, small, record)
         if crs and photos.period:
-            write_object(folder / ITEM, stac_item(
-                name, grid, photos.period, ASSETS,
-                {file: raster.bands for file, raster in rasters.items()}, record), indent=2)
+            write_object(
+                folder / ITEM,
+                stac_item(
+                    name, grid, photos.period, ASSETS, {file: raster.bands for file, raster in rasters.items()}, record
+                ),
+                indent=2,
+            )
     for name in set(FILES) - {*record["files"], RECORD}:
         (folder / name).unlink(missing_ok=True)
     write_object(folder / RECORD, record, indent=2)
     return record
 
 
-def _draw(run: Run, scene: Scene, grid: MapGrid, extent: Extent, device: Device,
-          drawn: tuple[Raster, Raster], progress: SilentProgress) -> None:
+def _draw(
+    run: Run,
+    scene: Scene,
+    grid: MapGrid,
+    extent: Extent,
+    device: Device,
+    drawn: tuple[Raster, Raster],
+    progress: SilentProgress,
+) -> None:
     """Draw all tiles in which anything is known."""
     # gaussians smaller than a pixel would be drawn as large as one, and hide what is beside
     # them: a map coarser than the photos is the mean of finer pixels
-    halvings = min(max(0, round(math.log2(grid.resolution / ground_resolution(scene)))),
-                   MOST_HALVINGS)
+    halvings = min(max(0, round(math.log2(grid.resolution / ground_resolution(scene)))), MOST_HALVINGS)
     finer = grid.finer(halvings)
     painter = MapPainter(device, run, finer, scene)
     # those of one tile of the file follow each other, as it is compressed anew at every return
-    tiles = sorted(np.ndindex(finer.tiles[::-1]),
-                   key=lambda tile: (tile[0] >> halvings, tile[1] >> halvings))
+    tiles = sorted(np.ndindex(finer.tiles[::-1]), key=lambda tile: (tile[0] >> halvings, tile[1] >> halvings))
     for done, (row, column) in enumerate(tiles, 1):
         inside = extent.inside(finer, column, row)[..., None]
         if not inside.any():
@@ -235,8 +269,7 @@ def _copy_without_pits(colours: Raster, drawn: Raster, surface: Raster) -> int:
     for y, x in np.ndindex(drawn.grid.tiles[::-1]):
         covered = colours.read((x, y))[..., 3] > 0
         heights = drawn.read((x, y), MARGIN)
-        known = np.isfinite(heights[own][..., 0]) & ~_pits(
-            heights[..., 0], heights[..., 1], drawn.grid.resolution)
+        known = np.isfinite(heights[own][..., 0]) & ~_pits(heights[..., 0], heights[..., 1], drawn.grid.resolution)
         dropped += int((covered & ~known).sum())
         if known.any():
             surface.write((x, y), np.where(known[..., None], heights[own], np.nan))
@@ -252,13 +285,13 @@ def _pits(heights: Heights, spread: Heights, resolution: float) -> NDArray[np.bo
     the first tenth of the light is held back: on the ground, not at the bottom.
     """
     least = LEAST_DEPTH * resolution
-    sure = np.where(spread <= least, heights, np.nan)[STEP // 2::STEP, STEP // 2::STEP]
+    sure = np.where(spread <= least, heights, np.nan)[STEP // 2 :: STEP, STEP // 2 :: STEP]
     windows = np.lib.stride_tricks.sliding_window_view(sure, (WINDOW, WINDOW))[1:-1, 1:-1]
     with warnings.catch_warnings():  # of windows in which nothing is sure
         warnings.simplefilter("ignore", RuntimeWarning)
         level = np.nanmedian(windows, axis=(-2, -1))
     level[np.isfinite(windows).mean(axis=(-2, -1)) < LEAST_SURE] = np.inf
-    inner = np.s_[MARGIN:heights.shape[0] - MARGIN, MARGIN:heights.shape[1] - MARGIN]
+    inner = np.s_[MARGIN : heights.shape[0] - MARGIN, MARGIN : heights.shape[1] - MARGIN]
     depth = np.kron(level, np.ones((STEP, STEP))) - heights[inner]
     found: NDArray[np.bool_] = (depth > least) & (spread[inner] > np.minimum(THICK * depth, least))
     return found
@@ -285,20 +318,22 @@ def contour_lines(heights: Heights, interval: float) -> list[ContourLine]:
         return []
     low, high = np.nanquantile(heights, (0.001, 0.999))
     if high - low > MOST_LINES * interval:
-        raise InputError(f"--contours {interval:g}: more than {MOST_LINES:,} lines; give a larger "
-                         "interval")
+        raise InputError(f"--contours {interval:g}: more than {MOST_LINES:,} lines; give a larger interval")
     known = ~np.isnan(heights)
-    weight, total = (scipy.ndimage.gaussian_filter(values, SMOOTHING) for values in (
-        known.astype(np.float64), np.where(known, heights, 0.0)))
-    generator = contourpy.contour_generator(
-        z=np.ma.masked_array(total / np.maximum(weight, 1e-9), mask=~known))
-    return [(number * interval, np.asarray(line) + 0.5)
-            for number in range(math.ceil(low / interval), math.floor(high / interval) + 1)
-            for line in generator.lines(number * interval) if len(line) >= SHORTEST]
+    weight, total = (
+        scipy.ndimage.gaussian_filter(values, SMOOTHING)
+        for values in (known.astype(np.float64), np.where(known, heights, 0.0))
+    )
+    generator = contourpy.contour_generator(z=np.ma.masked_array(total / np.maximum(weight, 1e-9), mask=~known))
+    return [
+        (number * interval, np.asarray(line) + 0.5)
+        for number in range(math.ceil(low / interval), math.floor(high / interval) + 1)
+        for line in generator.lines(number * interval)
+        if len(line) >= SHORTEST
+    ]
 
 
-def _write_contours(path: Path, lines: list[ContourLine], grid: MapGrid, level: int,
-                    crs: str | None) -> None:
+def _write_contours(path: Path, lines: list[ContourLine], grid: MapGrid, level: int, crs: str | None) -> None:
     """Replace a GeoJSON file (RFC 7946); every line is a feature with the property `elevation`, in
     longitude and latitude, or the map's coordinates if the scene has no place on the earth."""
     size = grid.resolution * 2**level
@@ -308,9 +343,13 @@ def _write_contours(path: Path, lines: list[ContourLine], grid: MapGrid, level: 
     places = np.round((on_ground(crs, WGS84, places) if crs else places)[:, :2], digits)
     ends = np.cumsum([len(line) for _, line in lines])
     features = [
-        {"type": "Feature", "properties": {"elevation": round(height, DIGITS)},
-         "geometry": {"type": "LineString", "coordinates": line.tolist()}}
-        for (height, _), line in zip(lines, np.split(places, ends))]
+        {
+            "type": "Feature",
+            "properties": {"elevation": round(height, DIGITS)},
+            "geometry": {"type": "LineString", "coordinates": line.tolist()},
+        }
+        for (height, _), line in zip(lines, np.split(places, ends))
+    ]
     with replacing(path) as file:
         file.write(json.dumps({"type": "FeatureCollection", "features": features}).encode())
 
@@ -319,29 +358,36 @@ def _stated(scene: Scene, photos: Photographs) -> dict[str, Any]:
     """What is known of a map's exactness, for RECORD: the ground sampling distance of the photos,
     the vertical reference, when the photos were taken, and the georeference with its residuals,
     metres."""
-    result: dict[str, Any] = {"ground_sampling_distance": ground_resolution(scene),
-                              "vertical_reference": vertical_reference(scene.georeference)}
+    result: dict[str, Any] = {
+        "ground_sampling_distance": ground_resolution(scene),
+        "vertical_reference": vertical_reference(scene.georeference),
+    }
     if photos.period:
         result["taken"] = [each.isoformat() for each in photos.period]
     if place := scene.georeference:
         result["georeference"] = {
-            "source": place.source, "residual": place.residual, "warnings": list(place.warnings),
-            "residuals_rms": {role: {axis: error.rms for axis, error in errors.items()}
-                              for role in (CHECK, CONTROL) if (errors := place.errors(role))}}
+            "source": place.source,
+            "residual": place.residual,
+            "warnings": list(place.warnings),
+            "residuals_rms": {
+                role: {axis: error.rms for axis, error in errors.items()}
+                for role in (CHECK, CONTROL)
+                if (errors := place.errors(role))
+            },
+        }
     return result
 
 
 def sentences(statement: dict[str, Any], unit: str) -> list[str]:
     """What `clsplat map` prints of it."""
-    lines = [f"ground sampling distance of the photos {statement['ground_sampling_distance']:g} "
-             f"{unit}"]
+    lines = [f"ground sampling distance of the photos {statement['ground_sampling_distance']:g} {unit}"]
     place = statement.get("georeference")
     if place:
         lines[0] += f"; heights: {statement['vertical_reference']}"
-        lines.append(f"georeference: {place['source'] or 'unknown source'}, residual "
-                     f"{place['residual']:.2f} m along the ground")
+        lines.append(
+            f"georeference: {place['source'] or 'unknown source'}, residual {place['residual']:.2f} m along the ground"
+        )
         for role, axes in place["residuals_rms"].items():
-            lines.append(f"{role} RMS: " + ", ".join(
-                f"{axis} {axes[axis]:.2f} m" for axis in AXES if axis in axes))
+            lines.append(f"{role} RMS: " + ", ".join(f"{axis} {axes[axis]:.2f} m" for axis in AXES if axis in axes))
         lines += [f"warning: {text}" for text in place["warnings"]]
     return lines

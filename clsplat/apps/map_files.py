@@ -9,8 +9,7 @@ from clsplat.apps.stac import COG, GEOJSON, PDF, PNG, XML, Asset
 
 ORTHOPHOTO, SURFACE, TERRAIN = "orthophoto.tif", "surface.tif", "terrain.tif"
 SHADING = {SURFACE: "hillshade.tif", TERRAIN: "terrain_hillshade.tif"}
-STYLES = {name: Path(name).with_suffix(SUFFIX).name
-          for name in (*SHADING, *SHADING.values())}
+STYLES = {name: Path(name).with_suffix(SUFFIX).name for name in (*SHADING, *SHADING.values())}
 CONTOURS, PREVIEW, ITEM = "contours.geojson", "preview.png", "item.json"
 REPORT, RECORD = "survey.pdf", "map.json"
 ASSETS: dict[str, Asset] = {
@@ -22,7 +21,8 @@ ASSETS: dict[str, Asset] = {
     **{style: (XML, "metadata", f"Style of {name} for QGIS") for name, style in STYLES.items()},
     CONTOURS: (GEOJSON, "data", "Contour lines"),
     PREVIEW: (PNG, "overview", "Orthophoto and surface"),
-    REPORT: (PDF, "metadata", "Report of the survey")}
+    REPORT: (PDF, "metadata", "Report of the survey"),
+}
 FILES = *ASSETS, ITEM, RECORD
 
 

@@ -59,8 +59,7 @@ class MapGrid:
     @property
     def bounds(self) -> Bounds:
         """(left, bottom, right, top), map coordinates."""
-        return (self.left, self.top - self.rows * self.resolution,
-                self.left + self.columns * self.resolution, self.top)
+        return (self.left, self.top - self.rows * self.resolution, self.left + self.columns * self.resolution, self.top)
 
     def tile_bounds(self, column: int, row: int) -> Bounds:
         """(left, bottom, right, top) of a tile, map coordinates."""
@@ -72,16 +71,23 @@ class MapGrid:
         """The grid with other bounds, which move outwards to multiples of its pixels."""
         size = self.resolution
         left, bottom, right, top = (
-            outwards(side / size) * size for outwards, side
-            in zip((math.floor, math.floor, math.ceil, math.ceil), bounds))
-        return replace(self, left=left, top=top, columns=max(1, round((right - left) / size)),
-                       rows=max(1, round((top - bottom) / size)))
+            outwards(side / size) * size
+            for outwards, side in zip((math.floor, math.floor, math.ceil, math.ceil), bounds)
+        )
+        return replace(
+            self,
+            left=left,
+            top=top,
+            columns=max(1, round((right - left) / size)),
+            rows=max(1, round((top - bottom) / size)),
+        )
 
     def finer(self, halvings: int) -> MapGrid:
         """The same map, the sides of whose pixels are halved so often."""
         factor = 2**halvings
-        return replace(self, resolution=self.resolution / factor, columns=self.columns * factor,
-                       rows=self.rows * factor)
+        return replace(
+            self, resolution=self.resolution / factor, columns=self.columns * factor, rows=self.rows * factor
+        )
 
     def camera(self, column: int, row: int) -> Camera:
         """The orthographic camera of a tile, in original coordinates, straight above its middle."""
@@ -89,8 +95,15 @@ class MapGrid:
         middle = np.array([(left + right) / 2, (bottom + top) / 2, self.ceiling])
         rotation = self.axes * [[1.0], [-1.0], [-1.0]]
         focal = 1 / self.resolution
-        return Camera(TILE, TILE, (focal, focal), (TILE / 2, TILE / 2), rotation,
-                      -rotation @ ((middle - self.origin) @ self.axes), orthographic=True)
+        return Camera(
+            TILE,
+            TILE,
+            (focal, focal),
+            (TILE / 2, TILE / 2),
+            rotation,
+            -rotation @ ((middle - self.origin) @ self.axes),
+            orthographic=True,
+        )
 
     def to_map(self, points: ArrayLike) -> NDArray[np.float64]:
         """Map coordinates float64[N, 3] of points float[N, 3] in original coordinates."""
@@ -103,8 +116,7 @@ class MapGrid:
         return (places - (self.left, self.top)) / (self.resolution, -self.resolution)
 
 
-def map_grid(scene: Scene, resolution: float | None = None, bounds: Bounds | None = None
-             ) -> MapGrid:
+def map_grid(scene: Scene, resolution: float | None = None, bounds: Bounds | None = None) -> MapGrid:
     """The grid of a scene's map.
 
     Parameters
@@ -118,8 +130,11 @@ def map_grid(scene: Scene, resolution: float | None = None, bounds: Bounds | Non
     if not len(scene.points):
         raise InputError(f"{scene.name}: has no points, so the extent of a map is unknown")
     origin = np.zeros(3) if scene.georeference is None else np.array(scene.georeference.offset)
-    axes = (np.vstack([map_axes(scene.up), scene.up]) if scene.up[2] > math.cos(UPRIGHT) else
-            ground_axes(scene.up, scene.points, np.ones(len(scene.points))))
+    axes = (
+        np.vstack([map_axes(scene.up), scene.up])
+        if scene.up[2] > math.cos(UPRIGHT)
+        else ground_axes(scene.up, scene.points, np.ones(len(scene.points)))
+    )
     grid = MapGrid(axes, origin, 0, 0, 1, 1, 1, 0)
     places = grid.to_map(scene.offset + scene.unit * scene.points)
     lowest, highest = np.quantile(places[:, 2], HEIGHTS)
@@ -130,14 +145,19 @@ def map_grid(scene: Scene, resolution: float | None = None, bounds: Bounds | Non
         left, bottom, right, top = bounds
     sides = float(right - left), float(top - bottom)
     if size > max(sides):
-        raise InputError(f"--resolution {size:g}: a pixel larger than the map, which is "
-                         f"{sides[0]:.3g} x {sides[1]:.3g}; give a finer resolution")
+        raise InputError(
+            f"--resolution {size:g}: a pixel larger than the map, which is "
+            f"{sides[0]:.3g} x {sides[1]:.3g}; give a finer resolution"
+        )
     if max(sides) > size * LARGEST_SIDE:
-        raise InputError(f"--resolution {size:g}: the map would have {max(sides) / size:.3g} "
-                         f"pixels along a side, more than {LARGEST_SIDE:,}; give a coarser "
-                         "resolution or smaller --bounds")
-    grid = replace(grid, ceiling=float(highest + HEADROOM * (highest - lowest)),
-                   floor=float(lowest - below), resolution=size)
+        raise InputError(
+            f"--resolution {size:g}: the map would have {max(sides) / size:.3g} "
+            f"pixels along a side, more than {LARGEST_SIDE:,}; give a coarser "
+            "resolution or smaller --bounds"
+        )
+    grid = replace(
+        grid, ceiling=float(highest + HEADROOM * (highest - lowest)), floor=float(lowest - below), resolution=size
+    )
     if bounds is None:
         return grid.within((float(left), float(bottom), float(right), float(top)))
     columns, rows = (max(1, round(side / size)) for side in sides)
@@ -149,6 +169,5 @@ def ground_resolution(scene: Scene) -> float:
     median over views."""
     _, sizes = ground_samples(scene, scene.points)
     if not sizes:
-        raise InputError(f"{scene.name}: no photo shows a point; give --resolution, or of "
-                         "a mesh --voxel")
+        raise InputError(f"{scene.name}: no photo shows a point; give --resolution, or of a mesh --voxel")
     return float(f"{scene.unit * np.median(sizes):.2g}")

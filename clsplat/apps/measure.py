@@ -44,8 +44,9 @@ class Measurements(NamedTuple):
     profiles: dict[int, Profile]
 
 
-def measure(path: Path, features: list[Feature], base: str | float = BASES[0],
-            before: Path | None = None) -> Measurements:
+def measure(
+    path: Path, features: list[Feature], base: str | float = BASES[0], before: Path | None = None
+) -> Measurements:
     """Measure features on a surface.
 
     Parameters
@@ -68,12 +69,14 @@ def measure(path: Path, features: list[Feature], base: str | float = BASES[0],
             if change is not None and stable is not None:
                 found |= _change(change.within(feature.bounds), feature, stable)
         rows.append({"name": feature.name, "kind": feature.kind, **found})
-    record = {"surface": str(path), "crs": whole.crs, "unit": whole.unit, "base": base,
-              "features": rows}
+    record = {"surface": str(path), "crs": whole.crs, "unit": whole.unit, "base": base, "features": rows}
     if stable is not None:
-        record |= {"before": str(before), "noise": nmad(stable),
-                   "level_of_detection": DETECTION * nmad(stable),
-                   "offset": float(np.nanmedian(stable))}
+        record |= {
+            "before": str(before),
+            "noise": nmad(stable),
+            "level_of_detection": DETECTION * nmad(stable),
+            "offset": float(np.nanmedian(stable)),
+        }
     return Measurements(plain(record), profiles)
 
 
@@ -85,11 +88,12 @@ def _around(path: Path, feature: Feature) -> Surface:
         raise InputError(f"{feature.name}: {error}") from None
     way = sum(float(along(line, np.inf)[-1, 0]) for line in feature.lines)
     if way > MOST_STEPS * surface.grid.resolution:
-        raise InputError(f"{feature.name}: is {way:.3g} {surface.unit} long, far more than {path}; "
-                         "draw it within what the map covers")
+        raise InputError(
+            f"{feature.name}: is {way:.3g} {surface.unit} long, far more than {path}; "
+            "draw it within what the map covers"
+        )
     if not np.isfinite(surface.heights).any():
-        raise InputError(f"{feature.name}: {path} has no heights there; draw it within what the "
-                         "map covers")
+        raise InputError(f"{feature.name}: {path} has no heights there; draw it within what the map covers")
     return surface
 
 
@@ -97,8 +101,9 @@ def along(line: Line, step: float) -> Profile:
     """Places along a line at about this step, with nan for heights."""
     distance = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     steps = np.linspace(0, distance[-1], max(1, math.ceil(distance[-1] / step)) + 1)
-    return np.column_stack([steps, *(np.interp(steps, distance, values) for values in line.T),
-                            np.full(len(steps), np.nan)])
+    return np.column_stack(
+        [steps, *(np.interp(steps, distance, values) for values in line.T), np.full(len(steps), np.nan)]
+    )
 
 
 def _line(surface: Surface, feature: Feature) -> tuple[dict[str, Any], Profile]:
@@ -116,10 +121,14 @@ def _line(surface: Surface, feature: Feature) -> tuple[dict[str, Any], Profile]:
     profile = np.concatenate(parts)
     heights = profile[np.isfinite(profile[:, 3]), 3]
     if not len(heights):
-        raise InputError(f"{feature.name}: {surface.path} has no heights along it; draw it within "
-                         "what the map covers")
-    return {"length": length, "surface_length": way, "lowest": heights.min(),
-            "highest": heights.max(), "known": len(heights) / len(profile)}, profile
+        raise InputError(f"{feature.name}: {surface.path} has no heights along it; draw it within what the map covers")
+    return {
+        "length": length,
+        "surface_length": way,
+        "lowest": heights.min(),
+        "highest": heights.max(),
+        "known": len(heights) / len(profile),
+    }, profile
 
 
 def _polygon(surface: Surface, feature: Feature, base: str | float) -> dict[str, Any]:
@@ -128,18 +137,24 @@ def _polygon(surface: Surface, feature: Feature, base: str | float) -> dict[str,
     x, y = middles(surface.grid)
     known = (weights > 0) & np.isfinite(surface.heights)
     if not known.any():
-        raise InputError(f"{feature.name}: {surface.path} has no heights in it; draw it within "
-                         "what the map covers")
+        raise InputError(f"{feature.name}: {surface.path} has no heights in it; draw it within what the map covers")
     shares, heights = weights[known], surface.heights[known]
     middle = np.array([x[known].mean(), y[known].mean()])
     plane = _base(surface, feature, base, middle)
     away = np.column_stack([x[known] - middle[0], y[known] - middle[1], np.ones(len(heights))])
     rise = (heights - away @ plane) * shares * surface.grid.resolution**2
-    return {"area": area_of(feature), "lowest": heights.min(),
-            "mean": np.average(heights, weights=shares), "highest": heights.max(),
-            "known": _share(shares, surface, feature), "base_height": plane[2],
-            "base_slope": np.hypot(*plane[:2]), "above": rise[rise > 0].sum(),
-            "below": -rise[rise < 0].sum(), "volume": rise.sum()}
+    return {
+        "area": area_of(feature),
+        "lowest": heights.min(),
+        "mean": np.average(heights, weights=shares),
+        "highest": heights.max(),
+        "known": _share(shares, surface, feature),
+        "base_height": plane[2],
+        "base_slope": np.hypot(*plane[:2]),
+        "above": rise[rise > 0].sum(),
+        "below": -rise[rise < 0].sum(),
+        "volume": rise.sum(),
+    }
 
 
 def _share(weights: NDArray[np.float64], surface: Surface, feature: Feature) -> float:
@@ -147,18 +162,15 @@ def _share(weights: NDArray[np.float64], surface: Surface, feature: Feature) -> 
     return min(1.0, float(weights.sum()) * surface.grid.resolution**2 / area_of(feature))
 
 
-def _base(surface: Surface, feature: Feature, base: str | float, middle: NDArray[np.float64]
-          ) -> NDArray[np.float64]:
+def _base(surface: Surface, feature: Feature, base: str | float, middle: NDArray[np.float64]) -> NDArray[np.float64]:
     """The slopes along x and y of a base, and its height in the middle, [3]."""
     if not isinstance(base, str):
         return np.array([0, 0, base])
-    x, y = np.concatenate([along(ring, surface.grid.resolution)
-                           for ring in feature.lines])[:, 1:3].T
+    x, y = np.concatenate([along(ring, surface.grid.resolution) for ring in feature.lines])[:, 1:3].T
     heights = heights_at(surface, x, y)
     shown = np.isfinite(heights)
     if shown.sum() < 3:
-        raise InputError(f"{feature.name}: no height of its border is known; give --base "
-                         "as a number")
+        raise InputError(f"{feature.name}: no height of its border is known; give --base as a number")
     if base != "fit":
         level = np.min(heights[shown]) if base == "lowest" else np.mean(heights[shown])
         return np.array([0, 0, level])
@@ -168,18 +180,14 @@ def _base(surface: Surface, feature: Feature, base: str | float, middle: NDArray
 
 
 def _weights(surface: Surface, feature: Feature) -> NDArray[np.float64]:
-    """[rows, columns]: the share of each pixel within a polygon; InputError if it crosses itself.
-    """
+    """[rows, columns]: the share of each pixel within a polygon; InputError if it crosses itself."""
     weights, grid = coverage(surface.grid, feature.parts), surface.grid
     left, bottom, right, top = feature.bounds
     area = area_of(feature)
     edge = grid.resolution * sum(along(ring, np.inf)[-1, 0] for ring in feature.lines)
-    within = (grid.bounds[0] <= left and grid.bounds[1] <= bottom and right <= grid.bounds[2]
-              and top <= grid.bounds[3])
-    if area <= 0 or within and abs(weights.sum() * grid.resolution**2 - area) > (
-            CROSSING * area + edge / 4):
-        raise InputError(f"{feature.name}: its border crosses itself, or it has no area; draw it "
-                         "anew")
+    within = grid.bounds[0] <= left and grid.bounds[1] <= bottom and right <= grid.bounds[2] and top <= grid.bounds[3]
+    if area <= 0 or within and abs(weights.sum() * grid.resolution**2 - area) > (CROSSING * area + edge / 4):
+        raise InputError(f"{feature.name}: its border crosses itself, or it has no area; draw it anew")
     return weights
 
 
@@ -205,9 +213,11 @@ def _outside(change: Surface, features: list[Feature]) -> NDArray[np.float64]:
             inside = coverage(change.within(feature.bounds).grid, feature.parts) > 0
             stable[rows, columns][inside] = np.nan
     if not np.isfinite(stable).any():
-        raise InputError(f"{change.path}: shares no known place outside of the polygons with the "
-                         "surface before it, so that their noise is unknown; draw smaller "
-                         "polygons, or give maps of one place")
+        raise InputError(
+            f"{change.path}: shares no known place outside of the polygons with the "
+            "surface before it, so that their noise is unknown; draw smaller "
+            "polygons, or give maps of one place"
+        )
     return stable
 
 
@@ -218,9 +228,13 @@ def _change(change: Surface, feature: Feature, stable: NDArray[np.float64]) -> d
     known = (weights > 0) & np.isfinite(change.heights)
     volume = (change.heights * weights)[known] * pixel**2
     sure = np.abs(change.heights[known]) > DETECTION * nmad(stable)
-    return {"fill": volume[sure & (volume > 0)].sum(), "cut": -volume[sure & (volume < 0)].sum(),
-            "net": volume.sum(), "net_noise": noise_of(stable, pixel, area_of(feature)),
-            "compared": _share(weights[known], change, feature)}
+    return {
+        "fill": volume[sure & (volume > 0)].sum(),
+        "cut": -volume[sure & (volume < 0)].sum(),
+        "net": volume.sum(),
+        "net_noise": noise_of(stable, pixel, area_of(feature)),
+        "compared": _share(weights[known], change, feature),
+    }
 
 
 def write_measurements(measured: Measurements, folder: Path) -> None:
@@ -231,10 +245,19 @@ def write_measurements(measured: Measurements, folder: Path) -> None:
     _write_csv(folder / TABLE, keys, ([row.get(key, "") for key in keys] for row in rows))
     (folder / PROFILES).unlink(missing_ok=True)
     if measured.profiles:
-        _write_csv(folder / PROFILES, ["feature", "name", "distance", "x", "y", "height"], (
-            [number, rows[number - 1]["name"], *("" if np.isnan(value) else round(value, 4)
-                                                 for value in place.tolist())]
-            for number, profile in measured.profiles.items() for place in profile))
+        _write_csv(
+            folder / PROFILES,
+            ["feature", "name", "distance", "x", "y", "height"],
+            (
+                [
+                    number,
+                    rows[number - 1]["name"],
+                    *("" if np.isnan(value) else round(value, 4) for value in place.tolist()),
+                ]
+                for number, profile in measured.profiles.items()
+                for place in profile
+            ),
+        )
     write_object(folder / RECORD, measured.record, indent=2)
 
 

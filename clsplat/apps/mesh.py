@@ -64,8 +64,9 @@ class Pieces:
     def joined(cls, some: list[Pieces]) -> Pieces:
         """The triangles of all, in which a vertex that several share is one."""
         firsts = np.cumsum([0, *(len(each.vertices) for each in some)])
-        vertices, colours, shared = (np.concatenate([getattr(each, name) for each in some])
-                                     for name in ("vertices", "colours", "shared"))
+        vertices, colours, shared = (
+            np.concatenate([getattr(each, name) for each in some]) for name in ("vertices", "colours", "shared")
+        )
         triangles = np.concatenate([each.triangles + first for each, first in zip(some, firsts)])
         rows = np.flatnonzero(shared)
         _, first, same = np.unique(vertices[rows], axis=0, return_index=True, return_inverse=True)
@@ -77,22 +78,20 @@ class Pieces:
         """The same without vertices of no triangle."""
         used = np.zeros(len(self.vertices), bool)
         used[self.triangles] = True
-        return Pieces(self.vertices[used], self.colours[used],
-                      (np.cumsum(used) - 1)[self.triangles], self.shared[used])
+        return Pieces(self.vertices[used], self.colours[used], (np.cumsum(used) - 1)[self.triangles], self.shared[used])
 
     def without_islands(self) -> Pieces:
         """The same without surfaces smaller than ISLAND."""
         count, (a, b, c) = len(self.vertices), self.triangles.T
-        links = scipy.sparse.coo_array((np.ones(2 * len(a)), (np.concatenate([a, a]),
-                                                              np.concatenate([b, c]))),
-                                       (count, count))
+        links = scipy.sparse.coo_array(
+            (np.ones(2 * len(a)), (np.concatenate([a, a]), np.concatenate([b, c]))), (count, count)
+        )
         parts, of = scipy.sparse.csgraph.connected_components(links, directed=False)
         first, second, third = (self.vertices[each] for each in (a, b, c))
         area = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 2
         sizes = np.bincount(of[a], area, parts)
         large = sizes >= min(ISLAND, sizes.max(initial=0))
-        return Pieces(self.vertices, self.colours, self.triangles[large[of[a]]],
-                      self.shared)._used()
+        return Pieces(self.vertices, self.colours, self.triangles[large[of[a]]], self.shared)._used()
 
 
 class Views:
@@ -110,24 +109,29 @@ class Views:
         self.offset, self._degree = model.offset, model.sh_degree
         self.cameras = [camera.shifted(model.offset) for camera in in_original(scene)]
         self.near = scene.near(options.near) * scene.unit
-        self._renderer, self._rows = open_model(device, model, self.near, options.antialiased,
-                                                options.background)
+        self._renderer, self._rows = open_model(device, model, self.near, options.antialiased, options.background)
 
     def blended(self, camera: Camera, percent: int) -> Blended:
         """What a camera sees, with the depths at which so many per cent of the light still pass."""
         return self._renderer.render(
-            self._rows, self._renderer.pack(camera), camera.width, camera.height, self._degree,
-            with_depth=True, depth_percent=percent).blended
+            self._rows,
+            self._renderer.pack(camera),
+            camera.width,
+            camera.height,
+            self._degree,
+            with_depth=True,
+            depth_percent=percent,
+        ).blended
 
     def add_to(self, volume: Volume, chosen: NDArray[np.integer], camera: Camera) -> None:
         """Add what a camera sees to bricks of a volume."""
         half, first = (self.blended(camera, percent) for percent in (MEDIAN, FIRST))
-        volume.add(chosen, camera, self.near, half.depth, first.depth, half.transmittance,
-                   half.image)
+        volume.add(chosen, camera, self.near, half.depth, first.depth, half.transmittance, half.image)
 
 
-def run_mesh(run: Run, scene: Scene, device: Device, voxel: float | None = None,
-             progress: SilentProgress | None = None) -> Mesh:
+def run_mesh(
+    run: Run, scene: Scene, device: Device, voxel: float | None = None, progress: SilentProgress | None = None
+) -> Mesh:
     """The surface of a run as triangles, in original coordinates.
 
     Parameters
@@ -147,15 +151,18 @@ def run_mesh(run: Run, scene: Scene, device: Device, voxel: float | None = None,
     views = Views(device, run, scene)
     bricks = _bricks_near_surface(views, voxel, progress)
     if not len(bricks):
-        raise InputError(f"{run.path}: no two views show a surface whose pixels are smaller than "
-                         f"{COARSEST_PIXEL} voxels of {voxel:g}; give a larger --voxel, or train "
-                         "longer")
+        raise InputError(
+            f"{run.path}: no two views show a surface whose pixels are smaller than "
+            f"{COARSEST_PIXEL} voxels of {voxel:g}; give a larger --voxel, or train "
+            "longer"
+        )
     bricks = bricks[morton_order(bricks.astype(np.float64))]
-    size = max(1, int(min(BATCH_BYTES, BATCH_SHARE * device.handle.global_mem_size,
-                          device.largest_buffer) / brick_bytes(device)))
-    batches = [bricks[begin:begin + size] for begin in range(0, len(bricks), size)]
-    seen = [[np.flatnonzero(_sees(views, camera, batch, voxel)) for camera in views.cameras]
-            for batch in batches]
+    size = max(
+        1,
+        int(min(BATCH_BYTES, BATCH_SHARE * device.handle.global_mem_size, device.largest_buffer) / brick_bytes(device)),
+    )
+    batches = [bricks[begin : begin + size] for begin in range(0, len(bricks), size)]
+    seen = [[np.flatnonzero(_sees(views, camera, batch, voxel)) for camera in views.cameras] for batch in batches]
     total, done, pieces = sum(len(rows) > 0 for each in seen for rows in each), 0, []
     for batch, chosen in zip(batches, seen):
         volume = Volume(device, batch, voxel, TRUNCATION * voxel)
@@ -172,10 +179,10 @@ def run_mesh(run: Run, scene: Scene, device: Device, voxel: float | None = None,
     progress.phase("joining triangles")
     whole = Pieces.joined(pieces).without_islands() if pieces else None
     if whole is None or not len(whole.triangles):
-        raise InputError(f"{run.path}: its views agree on no surface in voxels of {voxel:g}; give "
-                         "another --voxel, or train longer")
-    return Mesh(whole.vertices * voxel + views.offset, to_bytes(whole.colours),
-                whole.triangles.astype(np.int32), voxel)
+        raise InputError(
+            f"{run.path}: its views agree on no surface in voxels of {voxel:g}; give another --voxel, or train longer"
+        )
+    return Mesh(whole.vertices * voxel + views.offset, to_bytes(whole.colours), whole.triangles.astype(np.int32), voxel)
 
 
 def _bricks_near_surface(views: Views, voxel: float, progress: SilentProgress) -> Bricks:
@@ -185,21 +192,34 @@ def _bricks_near_surface(views: Views, voxel: float, progress: SilentProgress) -
         camera = whole.resized(*(max(1, size // SKIPPED) for size in (whole.width, whole.height)))
         blended = views.blended(camera, MEDIAN)
         depth = blended.depth.download().astype(np.float64)
-        usable = ((blended.transmittance.download() <= HOLE) & (depth > views.near)
-                  & (depth <= COARSEST_PIXEL * voxel * whole.focal[0]))
+        usable = (
+            (blended.transmittance.download() <= HOLE)
+            & (depth > views.near)
+            & (depth <= COARSEST_PIXEL * voxel * whole.focal[0])
+        )
         row, column = np.nonzero(usable)
-        rays = np.stack([(column + 0.5 - camera.centre[0]) / camera.focal[0],
-                         (row + 0.5 - camera.centre[1]) / camera.focal[1], np.ones(len(row))], 1)
-        ends = [(rays * (depth[usable] + away)[:, None] - camera.translation) @ camera.rotation
-                for away in np.linspace(-1, 1, 3) * TRUNCATION * voxel]
+        rays = np.stack(
+            [
+                (column + 0.5 - camera.centre[0]) / camera.focal[0],
+                (row + 0.5 - camera.centre[1]) / camera.focal[1],
+                np.ones(len(row)),
+            ],
+            1,
+        )
+        ends = [
+            (rays * (depth[usable] + away)[:, None] - camera.translation) @ camera.rotation
+            for away in np.linspace(-1, 1, 3) * TRUNCATION * voxel
+        ]
         found.append(np.unique(np.floor(np.concatenate(ends) / side).astype(np.int64), axis=0))
         progress.count("looking for surfaces: view", number, len(views.cameras))
     bricks, counts = np.unique(np.concatenate(found), axis=0, return_counts=True)
     shown_by_several: Bricks = bricks[counts >= LEAST_VIEWS].astype(np.int32)
     if len(shown_by_several) > MOST_BRICKS:
-        raise InputError(f"--voxel {voxel:g}: the volume would have {len(shown_by_several):,} "
-                         f"bricks of {BRICK_CELLS} voxels along a side, more than "
-                         f"{MOST_BRICKS:,}; give a larger one")
+        raise InputError(
+            f"--voxel {voxel:g}: the volume would have {len(shown_by_several):,} "
+            f"bricks of {BRICK_CELLS} voxels along a side, more than "
+            f"{MOST_BRICKS:,}; give a larger one"
+        )
     return shown_by_several
 
 
@@ -220,17 +240,21 @@ def _surfaces(sums: NDArray[np.floating], bricks: Bricks) -> Iterator[Pieces]:
         if not distance.min() < 0 < distance.max():
             continue
         cells = np.zeros(known.shape, bool)  # by the last of their corners
-        cells[1:, 1:, 1:] = np.logical_and.reduce([
-            known[i:BRICK_CELLS + i, j:BRICK_CELLS + j, k:BRICK_CELLS + k] for i, j, k in corners])
+        cells[1:, 1:, 1:] = np.logical_and.reduce(
+            [known[i : BRICK_CELLS + i, j : BRICK_CELLS + j, k : BRICK_CELLS + k] for i, j, k in corners]
+        )
         try:
             found, triangles, *_ = skimage.measure.marching_cubes(distance, 0, mask=cells)
         except RuntimeError:  # it found none
             continue
         *tints, near = (scipy.ndimage.map_coordinates(each, found.T, order=1) for each in colours)
         shared = ((found == 0) | (found == BRICK_CELLS)).any(axis=1)
-        yield Pieces(found.astype(np.float64) + BRICK_CELLS * place,
-                     255 * np.stack(tints, axis=1) / np.maximum(near, 1e-6)[:, None], triangles,
-                     shared)
+        yield Pieces(
+            found.astype(np.float64) + BRICK_CELLS * place,
+            255 * np.stack(tints, axis=1) / np.maximum(near, 1e-6)[:, None],
+            triangles,
+            shared,
+        )
 
 
 def _fewer(pieces: Pieces, batch: Bricks, bricks: Bricks) -> Pieces:

@@ -35,8 +35,7 @@ def supported(gaussians: Gaussians, photos: Sequence[Camera]) -> NDArray[np.bool
     all, with a warning, if that holds for none."""
     shown = support(gaussians, photos) >= LEAST_VIEWS
     if not shown.any():
-        log.warning("no two photos show any of the %s gaussians, so all are kept",
-                    f"{gaussians.count:,}")
+        log.warning("no two photos show any of the %s gaussians, so all are kept", f"{gaussians.count:,}")
         shown[:] = True
     return shown
 
@@ -61,8 +60,12 @@ def photos_of(run: Run, scene_path: Path | None = None) -> list[Camera]:
 
 def in_original(scene: Scene) -> list[Camera]:
     """The cameras of a scene in original coordinates."""
-    return [replace(view.camera, translation=scene.unit * view.camera.translation,
-                    offset=scene.offset).shifted(-scene.offset) for view in scene.views]
+    return [
+        replace(view.camera, translation=scene.unit * view.camera.translation, offset=scene.offset).shifted(
+            -scene.offset
+        )
+        for view in scene.views
+    ]
 
 
 def turned_up(gaussians: Gaussians, up: NDArray[np.float64], to: NDArray[np.float64]) -> Gaussians:
@@ -73,8 +76,7 @@ def turned_up(gaussians: Gaussians, up: NDArray[np.float64], to: NDArray[np.floa
     return transformed(gaussians, rotation=turn.as_matrix())
 
 
-def write_run_model(path: Path, run: Run, gaussians: Gaussians, upright: bool = False,
-                    spz_version: int = 0) -> None:
+def write_run_model(path: Path, run: Run, gaussians: Gaussians, upright: bool = False, spz_version: int = 0) -> None:
     """Write gaussians of a run, in original coordinates, in the format of a suffix, with what is
     known about them; `upright` turns them so that up is -y; `spz_version` as for `write_model`.
 
@@ -84,7 +86,6 @@ def write_run_model(path: Path, run: Run, gaussians: Gaussians, upright: bool = 
     """
     comments = (mode_comment(run.options.antialiased),)
     if upright:
-        write_model(path, turned_up(gaussians, run.up, VIEWERS_UP), comments, VIEWERS_UP,
-                    spz_version=spz_version)
+        write_model(path, turned_up(gaussians, run.up, VIEWERS_UP), comments, VIEWERS_UP, spz_version=spz_version)
     else:
         write_model(path, gaussians, comments, run.up, run.georeference, spz_version)

@@ -36,8 +36,8 @@ class MapPainter:
         # splats were trained with a low-pass of so many pixels of the photos: they keep their size
         finer = max(1.0, ground_resolution(scene) / grid.resolution)
         self._renderer, self._rows = open_model(
-            device, model, 0.0, options.antialiased, options.background, orthographic=True,
-            low_pass=LOW_PASS * finer**2)
+            device, model, 0.0, options.antialiased, options.background, orthographic=True, low_pass=LOW_PASS * finer**2
+        )
         self._model, self._grid, self._scene = model, grid, scene
         self._cameras = [view.camera for view in scene.views]
         self._step = 2.0 ** np.floor(np.log2(grid.resolution / FINENESS))
@@ -57,24 +57,29 @@ class MapPainter:
         """
         camera = self._grid.camera(column, row)
         packed = self._renderer.pack(camera.shifted(self._model.offset))
-        frame, first = (self._renderer.render(
-            self._rows, packed, TILE, TILE, self._model.sh_degree, with_depth=True,
-            depth_percent=percent) for percent in (MEDIAN, FIRST))
+        frame, first = (
+            self._renderer.render(
+                self._rows, packed, TILE, TILE, self._model.sh_degree, with_depth=True, depth_percent=percent
+            )
+            for percent in (MEDIAN, FIRST)
+        )
         covered = 1 - frame.blended.transmittance.download()
         heights, highest = (
-            np.round((self._grid.ceiling - scipy.ndimage.median_filter(
-                each.blended.depth.download(), SPECK, mode="nearest")) / self._step) * self._step
-            for each in (frame, first))
+            np.round(
+                (self._grid.ceiling - scipy.ndimage.median_filter(each.blended.depth.download(), SPECK, mode="nearest"))
+                / self._step
+            )
+            * self._step
+            for each in (frame, first)
+        )
         known = (covered >= 1 - HOLE) & self._shown(camera, heights, covered)
         pixels = np.concatenate([frame.image.download(), known[None]]).transpose(1, 2, 0)
         eight_bits = np.where(known[..., None], np.clip(pixels, 0, 1) * 255 + 0.5, 0)
         surface = np.stack([heights, highest - heights], axis=-1)
         supported = known & (heights >= self._grid.floor)
-        return (eight_bits.astype(np.uint8),
-                np.where(supported[..., None], surface, np.nan).astype(np.float32))
+        return (eight_bits.astype(np.uint8), np.where(supported[..., None], surface, np.nan).astype(np.float32))
 
-    def _shown(self, camera: Camera, heights: NDArray[np.floating],
-               covered: NDArray[np.floating]) -> NDArray[np.bool_]:
+    def _shown(self, camera: Camera, heights: NDArray[np.floating], covered: NDArray[np.floating]) -> NDArray[np.bool_]:
         """bool[TILE, TILE]: at least LEAST_VIEWS photos show the place, hidden there or not;
         interpolated between one place in each square of STEP pixels."""
         middles = np.arange(STEP // 2, TILE, STEP)
@@ -83,13 +88,15 @@ class MapPainter:
         if not holes.all():  # which have no height of their own
             tops = np.where(holes, np.median(tops[~holes]), tops)
         across, down = columns + 0.5 - TILE / 2, rows + 0.5 - TILE / 2
-        in_camera = np.column_stack([across * self._grid.resolution, down * self._grid.resolution,
-                                     self._grid.ceiling - tops])
+        in_camera = np.column_stack(
+            [across * self._grid.resolution, down * self._grid.resolution, self._grid.ceiling - tops]
+        )
         places = (in_camera - camera.translation) @ camera.rotation
         seen = shown_by(self._cameras, (places - self._scene.offset) / self._scene.unit)
         square = scipy.ndimage.median_filter((seen >= LEAST_VIEWS).reshape(len(middles), -1), SPECK)
-        inside: NDArray[np.bool_] = scipy.ndimage.zoom(
-            square.astype(np.float32), STEP, order=1, mode="nearest", grid_mode=True) > 0.5
+        inside: NDArray[np.bool_] = (
+            scipy.ndimage.zoom(square.astype(np.float32), STEP, order=1, mode="nearest", grid_mode=True) > 0.5
+        )
         return inside
 
 
@@ -121,8 +128,12 @@ class Extent:
         steps = (np.arange(TILE) + 0.5) * grid.resolution
         places = np.stack([left + steps, top - steps], axis=1)
         columns, rows = self.grid.pixels(places).T - 0.5
-        inside: NDArray[np.bool_] = scipy.ndimage.map_coordinates(
-            self.known.astype(np.float32), np.meshgrid(rows, columns, indexing="ij"), order=1) > 0.5
+        inside: NDArray[np.bool_] = (
+            scipy.ndimage.map_coordinates(
+                self.known.astype(np.float32), np.meshgrid(rows, columns, indexing="ij"), order=1
+            )
+            > 0.5
+        )
         return inside
 
     def around(self, grid: MapGrid) -> MapGrid:
@@ -131,10 +142,14 @@ class Extent:
         if not len(rows):
             return grid
         size = self.grid.resolution
-        wider = grid.within((self.grid.left + columns.min() * size,
-                             self.grid.top - (rows.max() + 1) * size,
-                             self.grid.left + (columns.max() + 1) * size,
-                             self.grid.top - rows.min() * size))
+        wider = grid.within(
+            (
+                self.grid.left + columns.min() * size,
+                self.grid.top - (rows.max() + 1) * size,
+                self.grid.left + (columns.max() + 1) * size,
+                self.grid.top - rows.min() * size,
+            )
+        )
         return grid if max(wider.columns, wider.rows) > LARGEST_SIDE else wider
 
 
@@ -144,13 +159,18 @@ def extent_of(device: Device, run: Run, scene: Scene, grid: MapGrid) -> Extent:
     (left, bottom), (right, top) = np.quantile(places[:, :2], EXTENT, axis=0)
     size = (1 + 2 * AROUND) * max(right - left, top - bottom, TILE * np.spacing(abs(right))) / TILE
     middle = (left + right) / 2, (bottom + top) / 2
-    coarse = replace(grid, left=float(middle[0] - TILE / 2 * size), resolution=float(size),
-                     top=float(middle[1] + TILE / 2 * size), columns=TILE, rows=TILE)
+    coarse = replace(
+        grid,
+        left=float(middle[0] - TILE / 2 * size),
+        resolution=float(size),
+        top=float(middle[1] + TILE / 2 * size),
+        columns=TILE,
+        rows=TILE,
+    )
     _, surface = MapPainter(device, run, coarse, scene).tile(0, 0)
     known = scipy.ndimage.binary_opening(np.isfinite(surface[..., 0]), np.ones((3, 3)))
     parts, count = scipy.ndimage.label(known)
     sizes = np.bincount(parts.ravel(), minlength=count + 1)
     sizes[0] = 0
     large = (sizes >= LEAST_PART * sizes.max())[parts] & known
-    return Extent(coarse, scipy.ndimage.binary_fill_holes(
-        scipy.ndimage.binary_dilation(large, iterations=BESIDE)))
+    return Extent(coarse, scipy.ndimage.binary_fill_holes(scipy.ndimage.binary_dilation(large, iterations=BESIDE)))

@@ -29,8 +29,7 @@ QUALITIES = (80, 65, 50, 35, 20)  # the first that fits
 POSTER_SIDE, POSTER_QUALITY = 900, 70
 
 
-def photos_of_page(scene: Scene, pictures: bool, progress: Progress = lambda *_: None
-                   ) -> list[Photo]:
+def photos_of_page(scene: Scene, pictures: bool, progress: Progress = lambda *_: None) -> list[Photo]:
     """The photos of a scene, upright, for `write_page`.
 
     Parameters
@@ -40,12 +39,12 @@ def photos_of_page(scene: Scene, pictures: bool, progress: Progress = lambda *_:
     progress : called with "photo", and how many of them are read and there are.
     """
     turns = [view.quarter_turns for view in scene.views]
-    found = [Photo(view.name, camera.turned(turn)) for view, camera, turn in zip(
-        scene.views, in_original(scene), turns)]
+    found = [
+        Photo(view.name, camera.turned(turn)) for view, camera, turn in zip(scene.views, in_original(scene), turns)
+    ]
     if not pictures:
         return found
-    side = int(np.clip(math.sqrt(MOST_BYTES / PIXEL_BYTES / len(found)), SHORTEST_SIDE,
-                       LONGEST_SIDE))
+    side = int(np.clip(math.sqrt(MOST_BYTES / PIXEL_BYTES / len(found)), SHORTEST_SIDE, LONGEST_SIDE))
     small, threads = [], os.cpu_count() or 1
     for pixels in called_ahead(lambda view: _small(view, side), zip(scene.views), threads, threads):
         small.append(pixels)
@@ -65,8 +64,7 @@ def _small(view: View, side: int) -> NDArray[np.uint8] | None:
 def _encoded(pictures: Sequence[NDArray[np.uint8] | None]) -> list[bytes]:
     """JPEGs of MOST_BYTES in all at most; those that do not fit at the lowest quality are b""."""
     for quality in QUALITIES:
-        result = [b"" if pixels is None else encode_image(pixels, "jpg", quality, "JPEG")
-                  for pixels in pictures]
+        result = [b"" if pixels is None else encode_image(pixels, "jpg", quality, "JPEG") for pixels in pictures]
         if sum(map(len, result)) <= MOST_BYTES:
             return result
     ends = np.cumsum([len(each) for each in result])
@@ -78,7 +76,5 @@ def poster_of(run: Run, gaussians: Gaussians, device: str) -> bytes:
     drawn by the device of this name."""
     view = run.first_view
     camera = view.reduced(1.0, POSTER_SIDE).shifted(gaussians.offset - view.offset)
-    opened = open_model(choose_device(device), gaussians, near_of(run), run.options.antialiased,
-                        run.options.background)
-    return encode_image(eight_bits(render_view(*opened, gaussians.sh_degree, camera)), "jpg",
-                        POSTER_QUALITY, "JPEG")
+    opened = open_model(choose_device(device), gaussians, near_of(run), run.options.antialiased, run.options.background)
+    return encode_image(eight_bits(render_view(*opened, gaussians.sh_degree, camera)), "jpg", POSTER_QUALITY, "JPEG")

@@ -29,14 +29,23 @@ def write_ramp(raster: Path, colours: Sequence[str], low: float, high: float, un
     ends = {"classificationMin": repr(low), "classificationMax": repr(high)}
     renderer, style = _style("singlebandpseudocolor", {"band": "1", **ends})
     shader = SubElement(
-        SubElement(renderer, "rastershader"), "colorrampshader", colorRampType="INTERPOLATED",
-        classificationMode="1", clip="0", minimumValue=repr(low), maximumValue=repr(high))
-    SubElement(SubElement(SubElement(shader, "colorramp", type="gradient", name="[source]"),
-                          "Option", type="Map"), "Option", type="QString", name="rampType",
-               value="gradient")
+        SubElement(renderer, "rastershader"),
+        "colorrampshader",
+        colorRampType="INTERPOLATED",
+        classificationMode="1",
+        clip="0",
+        minimumValue=repr(low),
+        maximumValue=repr(high),
+    )
+    SubElement(
+        SubElement(SubElement(shader, "colorramp", type="gradient", name="[source]"), "Option", type="Map"),
+        "Option",
+        type="QString",
+        name="rampType",
+        value="gradient",
+    )
     for value, colour in zip(np.linspace(low, high, len(colours)).tolist(), colours):
-        SubElement(shader, "item", value=repr(value), color=colour, alpha="255",
-                   label=f"{value:.2f} {unit}")
+        SubElement(shader, "item", value=repr(value), color=colour, alpha="255", label=f"{value:.2f} {unit}")
     _write(raster, style)
 
 
@@ -51,8 +60,7 @@ def write_greys(raster: Path, low: int, high: int) -> None:
     """Write the style of a GeoTIFF whose first band is grey: `low` black and `high` white."""
     renderer, style = _style("singlebandgray", {"grayBand": "1", "gradient": "BlackToWhite"})
     contrast = SubElement(renderer, "contrastEnhancement")
-    for name, value in (("minValue", low), ("maxValue", high),
-                        ("algorithm", "StretchToMinimumMaximum")):
+    for name, value in (("minValue", low), ("maxValue", high), ("algorithm", "StretchToMinimumMaximum")):
         SubElement(contrast, name).text = str(value)
     _write(raster, style)
 
@@ -60,8 +68,9 @@ def write_greys(raster: Path, low: int, high: int) -> None:
 def _style(kind: str, attributes: Mapping[str, str]) -> tuple[Element, Element]:
     """A renderer, and the style around it."""
     style = Element("qgis", version="3.22.0", styleCategories="Symbology")
-    renderer = SubElement(SubElement(style, "pipe"), "rasterrenderer", {
-        "type": kind, "opacity": "1", "alphaBand": "-1", **attributes})
+    renderer = SubElement(
+        SubElement(style, "pipe"), "rasterrenderer", {"type": kind, "opacity": "1", "alphaBand": "-1", **attributes}
+    )
     return renderer, style
 
 

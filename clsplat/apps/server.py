@@ -40,12 +40,15 @@ LONGEST_BODY = 4096  # bytes of a request
 LARGEST_SIDE, LARGEST_FRAME = 4096, 2560 * 1600  # pixels
 LEAST_COVER = 0.5  # of a pixel, for which its depth is known
 HEADERS = {
-    "Cache-Control": "no-store", "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY",
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; "
-                               "style-src 'unsafe-inline'; img-src blob: data:; "
-                               "connect-src 'self'; base-uri 'none'; form-action 'none'"}
+    "style-src 'unsafe-inline'; img-src blob: data:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,13 +79,11 @@ class FrameRequest:
         a `unit` in units of the page's."""
         camera = self.camera
         packed = renderer.pack(replace(camera, translation=camera.translation / unit))
-        frame = renderer.render(rows, packed, camera.width, camera.height, degree,
-                                with_depth=self.wants_depth)
+        frame = renderer.render(rows, packed, camera.width, camera.height, degree, with_depth=self.wants_depth)
         if not self.wants_depth:
             return np.clip(frame.image.download().transpose(1, 2, 0), 0, 1)
         cover = 1 - float(frame.blended.transmittance.download().mean())
-        return (unit * float(frame.blended.depth.download().mean()) / cover
-                if cover > LEAST_COVER else None)
+        return unit * float(frame.blended.depth.download().mean()) / cover if cover > LEAST_COVER else None
 
 
 class FrameRequests(SimpleQueue[FrameRequest]):
@@ -115,22 +116,25 @@ class ViewServer:
     address : of the page, with its token.
     """
 
-    def __init__(self, page: str, requests: FrameRequests, status: Callable[[], Mapping[str, Any]],
-                 port: int = 0) -> None:
+    def __init__(
+        self, page: str, requests: FrameRequests, status: Callable[[], Mapping[str, Any]], port: int = 0
+    ) -> None:
         self.token = secrets.token_urlsafe(24)
         self.page, self.requests, self.status = page, requests, status
         try:
             self._server = _Server((LOOPBACK, port), partial(_Handler, self))
         except OSError as error:
-            raise InputError(f"--port {port}: cannot be opened ({error.strerror}); choose another, "
-                             "or leave it out for a free one") from None
+            raise InputError(
+                f"--port {port}: cannot be opened ({error.strerror}); choose another, or leave it out for a free one"
+            ) from None
         self.port = self._server.server_port
         self.address = f"http://{LOOPBACK}:{self.port}/{self.token}/"
         self.hosts = {f"{name}:{self.port}" for name in (LOOPBACK, "localhost")}
 
     def __enter__(self) -> Self:
-        threading.Thread(target=self._server.serve_forever, name="clsplat view", daemon=True,
-                         kwargs={"poll_interval": 0.1}).start()
+        threading.Thread(
+            target=self._server.serve_forever, name="clsplat view", daemon=True, kwargs={"poll_interval": 0.1}
+        ).start()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -244,10 +248,17 @@ def camera_of(text: bytes) -> Camera:
         record = json.loads(text)
         width, height = record["width"], record["height"]
         rotation, position, focal, centre = (
-            numbers(name, record[name], shape) for name, shape in (
-                ("rotation", (3, 3)), ("position", (3,)), ("focal", (2,)), ("centre", (2,))))
-        camera = Camera(width, height, (float(focal[0]), float(focal[1])),
-                        (float(centre[0]), float(centre[1])), rotation, -rotation @ position)
+            numbers(name, record[name], shape)
+            for name, shape in (("rotation", (3, 3)), ("position", (3,)), ("focal", (2,)), ("centre", (2,)))
+        )
+        camera = Camera(
+            width,
+            height,
+            (float(focal[0]), float(focal[1])),
+            (float(centre[0]), float(centre[1])),
+            rotation,
+            -rotation @ position,
+        )
         camera.check()
     except (InputError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{error}") from None

@@ -19,9 +19,14 @@ BEFORE, AFTER = timedelta(hours=14), timedelta(hours=12)
 Asset = tuple[str, str, str]
 
 
-def stac_item(name: str, grid: MapGrid, period: tuple[datetime, datetime],
-              assets: Mapping[str, Asset], bands: Mapping[str, list[dict[str, Any]]],
-              record: Mapping[str, Any]) -> dict[str, Any]:
+def stac_item(
+    name: str,
+    grid: MapGrid,
+    period: tuple[datetime, datetime],
+    assets: Mapping[str, Asset],
+    bands: Mapping[str, list[dict[str, Any]]],
+    record: Mapping[str, Any],
+) -> dict[str, Any]:
     """The item of a map, with relative references.
 
     Parameters
@@ -37,8 +42,7 @@ def stac_item(name: str, grid: MapGrid, period: tuple[datetime, datetime],
     crs: str = record["crs"]
     left, bottom, right, top = grid.bounds
     corners = [(left, bottom), (right, bottom), (right, top), (left, top), (left, bottom)]
-    ring = np.round(on_ground(crs, WGS84, [(*corner, 0) for corner in corners])[:, :2],
-                    DEGREE_DIGITS)
+    ring = np.round(on_ground(crs, WGS84, [(*corner, 0) for corner in corners])[:, :2], DEGREE_DIGITS)
     first, last = period
     known = first.tzinfo is not None
     if not known:
@@ -46,20 +50,34 @@ def stac_item(name: str, grid: MapGrid, period: tuple[datetime, datetime],
     start, end = (each.strftime("%Y-%m-%dT%H:%M:%SZ") for each in (first, last))
     size = grid.resolution
     return {
-        "type": "Feature", "stac_version": "1.1.0", "stac_extensions": [PROJECTION], "id": name,
+        "type": "Feature",
+        "stac_version": "1.1.0",
+        "stac_extensions": [PROJECTION],
+        "id": name,
         "geometry": {"type": "Polygon", "coordinates": [ring.tolist()]},
         "bbox": [*ring.min(axis=0).tolist(), *ring.max(axis=0).tolist()],
         "properties": {
-            "datetime": start if known else None, "start_datetime": start, "end_datetime": end,
+            "datetime": start if known else None,
+            "start_datetime": start,
+            "end_datetime": end,
             **({"proj:code": None, "proj:wkt2": crs} if "[" in crs else {"proj:code": crs}),
-            "proj:bbox": list(grid.bounds), "proj:shape": [grid.rows, grid.columns],
-            "proj:transform": [size, 0, left, 0, -size, top], "title": f"Map of {name}",
+            "proj:bbox": list(grid.bounds),
+            "proj:shape": [grid.rows, grid.columns],
+            "proj:transform": [size, 0, left, 0, -size, top],
+            "title": f"Map of {name}",
             "gsd": record["ground_sampling_distance"],
-            "clsplat:vertical_reference": record["vertical_reference"]},
+            "clsplat:vertical_reference": record["vertical_reference"],
+        },
         "links": [],
         "assets": {
             file.replace(".", "_"): {
-                "href": f"./{file}", "type": kind, "roles": [role], "title": title,
-                **({"bands": bands[file]} if file in bands else
-                   {"proj:code": WGS84 if kind == GEOJSON else None})}
-            for file, (kind, role, title) in assets.items() if file in record["files"]}}
+                "href": f"./{file}",
+                "type": kind,
+                "roles": [role],
+                "title": title,
+                **({"bands": bands[file]} if file in bands else {"proj:code": WGS84 if kind == GEOJSON else None}),
+            }
+            for file, (kind, role, title) in assets.items()
+            if file in record["files"]
+        },
+    }

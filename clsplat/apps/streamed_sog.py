@@ -35,20 +35,24 @@ MOST_LEVELS, LEAST_GAUSSIANS = 5, 64  # of a leaf's coarsest level, at least
 Node = dict[str, Any]
 
 
-def write_run_sog(folder: Path, run: Run, gaussians: Gaussians, upright: bool,
-                  progress: Callable[[int, int], object]) -> int:
+def write_run_sog(
+    folder: Path, run: Run, gaussians: Gaussians, upright: bool, progress: Callable[[int, int], object]
+) -> int:
     """Write the finished model of a run, or some of its gaussians, as Streamed SOG into a new or
     empty folder, which appears as a whole; otherwise as `write_streamed_sog`."""
     if upright:
         gaussians = turned_up(gaussians, run.up, VIEWERS_UP)
     with new_folder(folder) as partial:
-        return write_streamed_sog(partial, gaussians, (mode_comment(run.options.antialiased),),
-                                  progress=progress)
+        return write_streamed_sog(partial, gaussians, (mode_comment(run.options.antialiased),), progress=progress)
 
 
-def write_streamed_sog(folder: Path, gaussians: Gaussians, comments: tuple[str, ...] = (),
-                       limit: int = CHUNK_GAUSSIANS,
-                       progress: Callable[[int, int], object] = lambda *_: None) -> int:
+def write_streamed_sog(
+    folder: Path,
+    gaussians: Gaussians,
+    comments: tuple[str, ...] = (),
+    limit: int = CHUNK_GAUSSIANS,
+    progress: Callable[[int, int], object] = lambda *_: None,
+) -> int:
     """Write the index and a folder for each chunk into an existing folder.
 
     Parameters
@@ -86,8 +90,7 @@ def write_streamed_sog(folder: Path, gaussians: Gaussians, comments: tuple[str, 
         name, parts = f"{level}_{len(filenames)}", open_chunks[level]
         offset = 0
         for part, leaf in parts:
-            leaf["lods"][str(level)] = {"file": len(filenames), "offset": offset,
-                                        "count": part.count}
+            leaf["lods"][str(level)] = {"file": len(filenames), "offset": offset, "count": part.count}
             offset += part.count
         counts[level] += offset
         filenames.append(f"{name}/meta.json")
@@ -116,22 +119,31 @@ def write_streamed_sog(folder: Path, gaussians: Gaussians, comments: tuple[str, 
     for _ in called_ahead(write, chunks(), threads, threads):
         pass  # an error is raised here
     _bound(tree)
-    write_object(folder / INDEX, {
-        "version": 1, "asset": {"generator": "clsplat"}, "origin": gaussians.offset.tolist(),
-        "count": sum(counts), "counts": counts, "lodLevels": levels, "filenames": filenames,
-        "tree": tree})
+    write_object(
+        folder / INDEX,
+        {
+            "version": 1,
+            "asset": {"generator": "clsplat"},
+            "origin": gaussians.offset.tolist(),
+            "count": sum(counts),
+            "counts": counts,
+            "lodLevels": levels,
+            "filenames": filenames,
+            "tree": tree,
+        },
+    )
     return len(filenames)
 
 
-def _node(positions: NDArray[np.float64], rows: NDArray[np.intp], limit: int,
-          leaves: list[tuple[NDArray[np.intp], Node]]) -> Node:
+def _node(
+    positions: NDArray[np.float64], rows: NDArray[np.intp], limit: int, leaves: list[tuple[NDArray[np.intp], Node]]
+) -> Node:
     """The tree below some rows, whose leaves are added to `leaves` in its order."""
     node: Node = {}
     if len(rows) <= limit:
         leaves.append((rows, node))
     else:
-        node["children"] = [_node(positions, part, limit, leaves)
-                            for part in halves(positions, rows)]
+        node["children"] = [_node(positions, part, limit, leaves) for part in halves(positions, rows)]
     return node
 
 
@@ -141,6 +153,7 @@ def _bound(node: Node) -> Node:
         below = [_bound(child) for child in node["children"]]
         node["bound"] = {
             "min": np.min([each["min"] for each in below], axis=0).tolist(),
-            "max": np.max([each["max"] for each in below], axis=0).tolist()}
+            "max": np.max([each["max"] for each in below], axis=0).tolist(),
+        }
     bound: Node = node["bound"]
     return bound

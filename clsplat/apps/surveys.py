@@ -64,8 +64,7 @@ def align(first: Surface, second: Surface) -> Alignment:
     x, y = middles(first.grid)
     pixel, shift = first.grid.resolution, np.zeros(3)
     for smoothing in SMOOTHING:
-        fixed, moved = (replace(each, heights=_smooth(each.heights, smoothing))
-                        for each in (first, second))
+        fixed, moved = (replace(each, heights=_smooth(each.heights, smoothing)) for each in (first, second))
         for _ in range(MOST_STEPS):
             heights = heights_at(moved, x - shift[0], y - shift[1]) + shift[2]
             step = _step(fixed.heights, heights, pixel)
@@ -91,8 +90,10 @@ def _step(fixed: Heights, moved: Heights, pixel: float) -> NDArray[np.float64]:
     away = fixed - moved
     usable = np.isfinite(away) & np.isfinite(east) & np.isfinite(north)
     if usable.sum() < LEAST_PLACES:
-        raise InputError("the surveys share hardly any known place; give surveys of one place, in "
-                         "coordinates that differ by less than its size")
+        raise InputError(
+            "the surveys share hardly any known place; give surveys of one place, in "
+            "coordinates that differ by less than its size"
+        )
     weights, steepness = np.zeros(away.shape), _classes((east, north))
     for kind in np.unique(steepness[usable]):
         places = usable & (steepness == kind)
@@ -111,8 +112,9 @@ def _step(fixed: Heights, moved: Heights, pixel: float) -> NDArray[np.float64]:
 def _alike(first: Heights, second: Heights, pixel: float) -> bool:
     """Whether two surfaces have the same relief."""
     own, other = (np.stack(_slopes(each, each, pixel)) for each in (first, second))
-    same, first_square, second_square = (np.nansum(np.where(np.isfinite(own * other), product, 0))
-                                         for product in (own * other, own**2, other**2))
+    same, first_square, second_square = (
+        np.nansum(np.where(np.isfinite(own * other), product, 0)) for product in (own * other, own**2, other**2)
+    )
     return bool(same > LEAST_LIKENESS * np.sqrt(first_square * second_square))
 
 
@@ -132,13 +134,14 @@ def _classes(slopes: tuple[Heights, Heights]) -> NDArray[np.integer]:
 def _smooth(heights: Heights, pixels: float) -> Heights:
     """Heights without detail of single pixels; unknown ones stay unknown."""
     known = np.isfinite(heights)
-    weight, total = (scipy.ndimage.gaussian_filter(values, pixels) for values in (
-        known.astype(np.float64), np.where(known, heights, 0.0)))
+    weight, total = (
+        scipy.ndimage.gaussian_filter(values, pixels)
+        for values in (known.astype(np.float64), np.where(known, heights, 0.0))
+    )
     return np.where(known, total / np.maximum(weight, 1e-9), np.nan)
 
 
-def write_comparison(first: Path, second: Path, folder: Path,
-                     names: tuple[str, str] | None = None) -> dict[str, Any]:
+def write_comparison(first: Path, second: Path, folder: Path, names: tuple[str, str] | None = None) -> dict[str, Any]:
     """Align a later surface to an earlier one, and write FILES into a folder.
 
     Parameters
@@ -159,24 +162,38 @@ def write_comparison(first: Path, second: Path, folder: Path,
     difference, pixel = alignment.difference, early.grid.resolution
     sure = np.abs(difference) > DETECTION * alignment.noise
     # a lone pixel is noise: what changed is wider than two
-    grown, gone = (scipy.ndimage.binary_opening(sure & side, np.ones((3, 3)))
-                   for side in (difference > 0, difference < 0))
+    grown, gone = (
+        scipy.ndimage.binary_opening(sure & side, np.ones((3, 3))) for side in (difference > 0, difference < 0)
+    )
     steepness = _classes(_slopes(early.heights, early.heights + difference, pixel))
     stable = np.isfinite(difference) & ~grown & ~gone & (steepness < len(SLOPES))
     noise = nmad(difference[stable])
-    record = plain({
-        **dict(zip(("before", "after"), names or (str(first), str(second)))),
-        "crs": early.crs, "unit": early.unit, "pixel": pixel,
-        "shift": dict(zip(("east", "north", "up"), alignment.shift)),
-        "horizontal_shift_found": alignment.horizontal,
-        "compared": np.isfinite(difference).mean(), "stable": stable.sum() * pixel**2,
-        "noise": noise, "level_of_detection": DETECTION * noise,
-        "fill": difference[grown].sum() * pixel**2, "cut": -difference[gone].sum() * pixel**2,
-        "changed": (grown | gone).sum() * pixel**2})
+    record = plain(
+        {
+            **dict(zip(("before", "after"), names or (str(first), str(second)))),
+            "crs": early.crs,
+            "unit": early.unit,
+            "pixel": pixel,
+            "shift": dict(zip(("east", "north", "up"), alignment.shift)),
+            "horizontal_shift_found": alignment.horizontal,
+            "compared": np.isfinite(difference).mean(),
+            "stable": stable.sum() * pixel**2,
+            "noise": noise,
+            "level_of_detection": DETECTION * noise,
+            "fill": difference[grown].sum() * pixel**2,
+            "cut": -difference[gone].sum() * pixel**2,
+            "changed": (grown | gone).sum() * pixel**2,
+        }
+    )
     make_folder(folder)
     _write(folder / ALIGNED, early, {"height": early.unit}, early.heights + difference)
-    _write(folder / DIFFERENCE, early, {"difference": early.unit, "noise": early.unit}, difference,
-           np.where(np.isfinite(difference), alignment.noise, np.nan))
+    _write(
+        folder / DIFFERENCE,
+        early,
+        {"difference": early.unit, "noise": early.unit},
+        difference,
+        np.where(np.isfinite(difference), alignment.noise, np.nan),
+    )
     changed = np.where(grown | gone, difference, np.nan)
     with replacing(folder / PICTURE) as file:
         write_difference(file, early.heights, changed, pixel, DETECTION * noise, early.unit)

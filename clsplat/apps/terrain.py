@@ -32,8 +32,10 @@ Heights = NDArray[np.float64]  # [H, W], nan: unknown
 def check_width(width: float, resolution: float) -> None:
     """InputError if the widest object is too narrow for pixels of this size."""
     if width < LEAST_PIXELS * resolution:
-        raise InputError(f"--terrain {width:g}: narrower than {LEAST_PIXELS} pixels of "
-                         f"{resolution:g}; give the width of the widest building")
+        raise InputError(
+            f"--terrain {width:g}: narrower than {LEAST_PIXELS} pixels of "
+            f"{resolution:g}; give the width of the widest building"
+        )
 
 
 def write_terrain(surface: Raster, terrain: Raster, width: float) -> float:
@@ -53,17 +55,18 @@ def write_terrain(surface: Raster, terrain: Raster, width: float) -> float:
     grid = surface.grid
     level = round(math.log2(width / CELLS / grid.resolution))
     level = max(surface.level(MOST_CELLS), min(level, surface.level(TILE)), 0)
-    heights, tolerance = terrain_of(surface.whole(level)[..., 0].astype(np.float64),
-                                    grid.resolution * 2**level, width)
+    heights, tolerance = terrain_of(surface.whole(level)[..., 0].astype(np.float64), grid.resolution * 2**level, width)
     known, ground = 0, 0
     for y, x in np.ndindex(grid.tiles[::-1]):
         shown = surface.read((x, y))[..., 0]
         if np.isnan(shown).all():
             continue
-        places = np.meshgrid(*((TILE * tile + np.arange(TILE) + 0.5) / 2**level - 0.5
-                               for tile in (y, x)), indexing="ij")
-        beneath, limit = (scipy.ndimage.map_coordinates(values, places, order=1, mode="nearest")
-                          for values in (heights, tolerance))
+        places = np.meshgrid(
+            *((TILE * tile + np.arange(TILE) + 0.5) / 2**level - 0.5 for tile in (y, x)), indexing="ij"
+        )
+        beneath, limit = (
+            scipy.ndimage.map_coordinates(values, places, order=1, mode="nearest") for values in (heights, tolerance)
+        )
         with np.errstate(invalid="ignore"):
             same = np.abs(shown - beneath) <= limit
         both = np.stack([np.where(same, shown, beneath), same], axis=-1)
@@ -88,8 +91,7 @@ def terrain_of(heights: Heights, cell: float, width: float) -> tuple[Heights, He
     # the lowest ground around, to which pits are lifted; and what is unknown is as low, as it must
     # not widen an object beside it
     around = scipy.ndimage.minimum_filter(np.where(known, closed, np.inf), 2 * widest + 1)
-    opened = np.where(known, np.where(pits, np.maximum(surface, around), surface),
-                      nearest(around, np.isfinite(around)))
+    opened = np.where(known, np.where(pits, np.maximum(surface, around), surface), nearest(around, np.isfinite(around)))
     known &= ~pits
     is_object = np.zeros(known.shape, bool)
     for radius in range(1, widest + 1):
@@ -113,8 +115,7 @@ def _tolerance(terrain: Heights, cell: float, width: float) -> Heights:
 
 def nearest(heights: Heights, known: NDArray[np.bool_]) -> Heights:
     """Heights of which those that are not known are the nearest known one."""
-    places = scipy.ndimage.distance_transform_edt(~known, return_distances=False,
-                                                  return_indices=True)
+    places = scipy.ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     result: Heights = heights[tuple(places)]
     return result
 
@@ -124,11 +125,14 @@ def filled(heights: Heights, known: NDArray[np.bool_]) -> Heights:
     gap = ~known.ravel()
     if not gap.any():
         return heights
-    steps = [scipy.sparse.diags_array([-np.ones(size), np.ones(size)], offsets=[0, 1],
-                                      shape=(max(size - 1, 0), size)) for size in heights.shape]
+    steps = [
+        scipy.sparse.diags_array([-np.ones(size), np.ones(size)], offsets=[0, 1], shape=(max(size - 1, 0), size))
+        for size in heights.shape
+    ]
     rows = scipy.sparse.kronsum(*(step.T @ step for step in reversed(steps)), "csr")[gap]
     result = nearest(heights, known)
     flat = result.ravel()
-    flat[gap], _ = scipy.sparse.linalg.cg(rows[:, gap], -rows[:, ~gap] @ flat[~gap], flat[gap],
-                                          rtol=PRECISION, maxiter=MOST_STEPS)
+    flat[gap], _ = scipy.sparse.linalg.cg(
+        rows[:, gap], -rows[:, ~gap] @ flat[~gap], flat[gap], rtol=PRECISION, maxiter=MOST_STEPS
+    )
     return result

@@ -63,18 +63,27 @@ class _Tile:
     record: Any = None
 
 
-def write_run_tiles(folder: Path, run: Run, gaussians: Gaussians,
-                    progress: Callable[[int, int], object]) -> int:
+def write_run_tiles(folder: Path, run: Run, gaussians: Gaussians, progress: Callable[[int, int], object]) -> int:
     """Write the finished model of a run, or some of its gaussians, as 3D Tiles into a new or empty
     folder, which appears as a whole; otherwise as `write_tiles`."""
     with new_folder(folder) as partial:
-        return write_tiles(partial, turned_up(gaussians, run.up, Z_UP), run.georeference,
-                           (mode_comment(run.options.antialiased),), progress=progress)
+        return write_tiles(
+            partial,
+            turned_up(gaussians, run.up, Z_UP),
+            run.georeference,
+            (mode_comment(run.options.antialiased),),
+            progress=progress,
+        )
 
 
-def write_tiles(folder: Path, gaussians: Gaussians, georeference: Georeference | None = None,
-                comments: Sequence[str] = (), limit: int = TILE_GAUSSIANS,
-                progress: Callable[[int, int], object] = lambda *_: None) -> int:
+def write_tiles(
+    folder: Path,
+    gaussians: Gaussians,
+    georeference: Georeference | None = None,
+    comments: Sequence[str] = (),
+    limit: int = TILE_GAUSSIANS,
+    progress: Callable[[int, int], object] = lambda *_: None,
+) -> int:
     """Write tileset.json and a glTF file for each tile into an existing folder.
 
     Parameters
@@ -93,16 +102,18 @@ def write_tiles(folder: Path, gaussians: Gaussians, georeference: Georeference |
     positions = gaussians.positions.astype(np.float64)
     levels, threads = [[_Tile("0", np.arange(gaussians.count))]], os.cpu_count() or 1
     while large := [tile for tile in levels[-1] if len(tile.rows) > limit]:
-        parts = called_ahead(lambda tile: parted(positions, tile.rows, limit, ROUNDS), zip(large),
-                             threads, threads)
+        parts = called_ahead(lambda tile: parted(positions, tile.rows, limit, ROUNDS), zip(large), threads, threads)
         for tile, some in zip(large, parts):
             tile.below = [_Tile(f"{tile.name}{number}", part) for number, part in enumerate(some)]
         levels.append([child for tile in large for child in tile.below])
 
     def write(tile: _Tile) -> None:
         """Write a tile, those below which are written."""
-        content = selected(gaussians, tile.rows) if not tile.below else decimated(merged([
-            child.content or selected(gaussians, child.rows) for child in tile.below]), limit)
+        content = (
+            selected(gaussians, tile.rows)
+            if not tile.below
+            else decimated(merged([child.content or selected(gaussians, child.rows) for child in tile.below]), limit)
+        )
         low, high = corners(content)
         for child in tile.below:
             low, high = np.minimum(low, child.low), np.maximum(high, child.high)
@@ -111,13 +122,15 @@ def write_tiles(folder: Path, gaussians: Gaussians, georeference: Georeference |
         uri = f"{CONTENT}/{tile.name}.glb"
         write_spz_glb(folder / uri, content, comments)
         box = [*((low + high) / 2).tolist(), *np.diag((high - low) / 2).ravel().tolist()]
-        tile.record = {"boundingVolume": {"box": box}, "geometricError": 0.0,
-                       "content": {"uri": uri}}
+        tile.record = {"boundingVolume": {"box": box}, "geometricError": 0.0, "content": {"uri": uri}}
         if tile.below:
             tile.content, children = content, [child.record for child in tile.below]
-            tile.record |= {"children": children, "geometricError": max(
-                ERROR_OF_SIGMA * mean_sigma(content),
-                *(child["geometricError"] for child in children))}
+            tile.record |= {
+                "children": children,
+                "geometricError": max(
+                    ERROR_OF_SIGMA * mean_sigma(content), *(child["geometricError"] for child in children)
+                ),
+            }
 
     root, count, done = levels[0][0], sum(map(len, levels)), 0
     for level in reversed(levels):
@@ -126,19 +139,21 @@ def write_tiles(folder: Path, gaussians: Gaussians, georeference: Georeference |
             progress(done, count)
     used = [EXTENSION, COMPRESSION]
     transform = placement(gaussians.offset, georeference)
-    write_object(folder / TILESET, {
-        "asset": {"version": "1.1", "generator": "clsplat"},
-        "extensionsUsed": ["3DTILES_content_gltf"],
-        # Cesium decides by this how to load the content
-        "extensions": {"3DTILES_content_gltf": {"extensionsUsed": used,
-                                                "extensionsRequired": used}},
-        "geometricError": float(np.linalg.norm(root.high - root.low)),
-        "root": {"transform": transform.T.ravel().tolist(), "refine": "REPLACE", **root.record}})
+    write_object(
+        folder / TILESET,
+        {
+            "asset": {"version": "1.1", "generator": "clsplat"},
+            "extensionsUsed": ["3DTILES_content_gltf"],
+            # Cesium decides by this how to load the content
+            "extensions": {"3DTILES_content_gltf": {"extensionsUsed": used, "extensionsRequired": used}},
+            "geometricError": float(np.linalg.norm(root.high - root.low)),
+            "root": {"transform": transform.T.ravel().tolist(), "refine": "REPLACE", **root.record},
+        },
+    )
     return count
 
 
-def placement(offset: NDArray[np.float64], georeference: Georeference | None
-              ) -> NDArray[np.float64]:
+def placement(offset: NDArray[np.float64], georeference: Georeference | None) -> NDArray[np.float64]:
     """[4, 4]: from the coordinates of upright gaussians, with this original offset [3], to the
     earth; without a georeference to original coordinates.
 
@@ -150,8 +165,9 @@ def placement(offset: NDArray[np.float64], georeference: Georeference | None
         matrix[:3, 3] = offset
     else:
         to_earth = conversion(georeference.crs, ECEF, "3D Tiles of a georeferenced model")
-        found = to_earth(georeference.to_map(offset) + BASELINE * np.concatenate(
-            [np.eye(3), -np.eye(3), np.zeros((1, 3))]))
+        found = to_earth(
+            georeference.to_map(offset) + BASELINE * np.concatenate([np.eye(3), -np.eye(3), np.zeros((1, 3))])
+        )
         matrix[:3, :3] = (found[:3] - found[3:6]).T / (2 * BASELINE)
         matrix[:3, 3] = found[6]
     return matrix

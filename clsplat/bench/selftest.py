@@ -43,12 +43,14 @@ def check(device: Device) -> list[tuple[str, bool, str]]:
 
     A result is its name, whether it passed, and the error or what the driver raised.
     """
-    return [_result(Device(device.handle, form=form, tuning=device.tuning), *row)
-            for form in ("item", "group") for row in CHECKS]
+    return [
+        _result(Device(device.handle, form=form, tuning=device.tuning), *row)
+        for form in ("item", "group")
+        for row in CHECKS
+    ]
 
 
-def _result(device: Device, name: str, bound: float, test: Callable[[Device], Compared]
-            ) -> tuple[str, bool, str]:
+def _result(device: Device, name: str, bound: float, test: Callable[[Device], Compared]) -> tuple[str, bool, str]:
     name = f"{name}, {device.form} form"
     try:
         error = max(_error(*pair) for pair in test(device))
@@ -96,8 +98,12 @@ def rows_by_number(device: Device) -> Compared:
     expected = np.argsort(keys, kind="stable")
     copied = gather(device, device.upload(rows), device.upload(expected.astype(np.uint32)))
     kept = compact(device, device.upload(flags), new_counts(device))
-    return [(sorted_keys.download(), keys[expected]), (order.download(), expected),
-            (copied.download(), rows[expected]), (kept.download(), np.flatnonzero(flags))]
+    return [
+        (sorted_keys.download(), keys[expected]),
+        (order.download(), expected),
+        (copied.download(), rows[expected]),
+        (kept.download(), np.flatnonzero(flags)),
+    ]
 
 
 def tile_lists(device: Device) -> Compared:
@@ -106,27 +112,26 @@ def tile_lists(device: Device) -> Compared:
     tiles_x, tiles_y = tile_grid(device, width, height)
     own = np.where(rng.random(count) < 0.85, 5, rng.integers(0, tiles_x * tiles_y, count))
     splats = np.zeros((count, constants.SPLAT_REALS))
-    splats[:, constants.SPLAT_MEAN:constants.SPLAT_MEAN + 2] = device.tile * (
-        np.column_stack([own % tiles_x, own // tiles_x]) + 0.5)
-    for column in (constants.SPLAT_CUTOFF, constants.SPLAT_CONIC, constants.SPLAT_CONIC + 2,
-                   constants.SPLAT_EXTENT_Y):
+    splats[:, constants.SPLAT_MEAN : constants.SPLAT_MEAN + 2] = device.tile * (
+        np.column_stack([own % tiles_x, own // tiles_x]) + 0.5
+    )
+    for column in (constants.SPLAT_CUTOFF, constants.SPLAT_CONIC, constants.SPLAT_CONIC + 2, constants.SPLAT_EXTENT_Y):
         splats[:, column] = 1
     depths = splats[:, constants.SPLAT_DEPTH] = rng.integers(1, 500, count)
     order = np.argsort(depths, kind="stable").astype(np.uint32)
-    pairs = bin_splats(device, device.upload(splats), new_counts(device, count),
-                       device.upload(order), width, height)
+    pairs = bin_splats(device, device.upload(splats), new_counts(device, count), device.upload(order), width, height)
     listed = pairs.sorted_splats.download()
-    return [(listed, np.lexsort((depths, own))),
-            (pairs.ranges.download()[:, 1],
-             np.cumsum(np.bincount(own, minlength=len(pairs.tiles)))),
-            (pairs.emission_indices.download(), pairs.offsets.download()[listed])]
+    return [
+        (listed, np.lexsort((depths, own))),
+        (pairs.ranges.download()[:, 1], np.cumsum(np.bincount(own, minlength=len(pairs.tiles)))),
+        (pairs.emission_indices.download(), pairs.offsets.download()[listed]),
+    ]
 
 
 def _rendered(device: Device) -> tuple[Renderer, dict[str, Array], Frame]:
     renderer = Renderer(device, DEGREE, NEAR, background=BACKGROUND)
     rows = {field.name: device.upload(stored()[f"in_{field.name}"]) for field in LEARNED}
-    return renderer, rows, renderer.render(rows, renderer.pack(CAMERA), CAMERA.width,
-                                           CAMERA.height, DEGREE)
+    return renderer, rows, renderer.render(rows, renderer.pack(CAMERA), CAMERA.width, CAMERA.height, DEGREE)
 
 
 def render(device: Device) -> Compared:
@@ -137,8 +142,7 @@ def render(device: Device) -> Compared:
 
 def loss(device: Device) -> Compared:
     """The loss of the stored image, and its gradient."""
-    totals, grad = image_loss(device, device.upload(stored()["image"]),
-                              device.upload(stored()["photo"]), SSIM_WEIGHT)
+    totals, grad = image_loss(device, device.upload(stored()["image"]), device.upload(stored()["photo"]), SSIM_WEIGHT)
     value, _, _ = loss_value(totals, stored()["photo"].size, SSIM_WEIGHT)
     return [(value, stored()["loss"]), (grad.download(), stored()["grad_image"])]
 
@@ -147,12 +151,14 @@ def render_adjoint(device: Device) -> Compared:
     """The gradients of sum(weights * image) by every field, and by the places on the screen."""
     renderer, rows, frame = _rendered(device)
     sums = Statistics(device, len(stored()["screen"]))
-    gradients = renderer.adjoint(rows, frame, device.upload(
-        stored()["weights"].astype(np.float32)), statistics=sums.sums)
+    gradients = renderer.adjoint(
+        rows, frame, device.upload(stored()["weights"].astype(np.float32)), statistics=sums.sums
+    )
     visible = gradients.rows.download()
-    return [(sums.mean_gradient(), stored()["screen"]),
-            *((gradients.fields[name].download(), stored()[f"grad_{name}"][visible])
-              for name in rows)]
+    return [
+        (sums.mean_gradient(), stored()["screen"]),
+        *((gradients.fields[name].download(), stored()[f"grad_{name}"][visible]) for name in rows),
+    ]
 
 
 def adam(device: Device) -> Compared:
@@ -162,24 +168,34 @@ def adam(device: Device) -> Compared:
     engine, seen = DeviceAdam(device, rows), device.upload(visible)
     finite = device.upload(np.concatenate([[constants.NO_ROW], visible[1:]]).astype(np.uint32))
     for number, factor in ((1, 1.0), (2, LATER)):
-        fields = {field.name: device.upload(np.float32(factor) * stored()[f"grad_{field.name}"][
-            visible]) for field in LEARNED}
-        gradients = Gradients(fields, device.zeros((len(visible), 2)), finite, seen,
-                              new_counts(device, len(visible)))
+        fields = {
+            field.name: device.upload(np.float32(factor) * stored()[f"grad_{field.name}"][visible]) for field in LEARNED
+        }
+        gradients = Gradients(fields, device.zeros((len(visible), 2)), finite, seen, new_counts(device, len(visible)))
         engine.apply(rows, gradients, engine.numbers(number, RATES), DEGREE)
-    return [(rows[name].download() - before, stored()[f"out_{name}"] - before)
-            for name in rows for before in [stored()[f"in_{name}"]]]
+    return [
+        (rows[name].download() - before, stored()[f"out_{name}"] - before)
+        for name in rows
+        for before in [stored()[f"in_{name}"]]
+    ]
 
 
 def same_bytes(device: Device) -> Compared:
     """Image and gradients of two renders of the same gaussians."""
-    return [(found, again) for test in (render, render_adjoint)
-            for (found, _), (again, _) in zip(test(device), test(device))]
+    return [
+        (found, again)
+        for test in (render, render_adjoint)
+        for (found, _), (again, _) in zip(test(device), test(device))
+    ]
 
 
 # name, largest error, test
 CHECKS: tuple[tuple[str, float, Callable[[Device], Compared]], ...] = (
-    ("sort, gather and compaction", 0, rows_by_number), ("tile lists", 0, tile_lists),
-    ("render", 2e-5, render), ("image loss and its adjoint", 1e-4, loss),
-    ("render adjoint", 1e-3, render_adjoint), ("Adam", 5e-3, adam),
-    ("same bytes twice", 0, same_bytes))
+    ("sort, gather and compaction", 0, rows_by_number),
+    ("tile lists", 0, tile_lists),
+    ("render", 2e-5, render),
+    ("image loss and its adjoint", 1e-4, loss),
+    ("render adjoint", 1e-3, render_adjoint),
+    ("Adam", 5e-3, adam),
+    ("same bytes twice", 0, same_bytes),
+)

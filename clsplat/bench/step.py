@@ -21,12 +21,13 @@ STREAM = 16  # steps that are enqueued without waiting: few enough for any drive
 
 def prepared_for(scene: Path, **options: Any) -> PreparedScene:
     """A scene, read for plain steps: without the parts that some trainings have."""
-    return prepare(read_scene(scene), resolve({}, {
-        "max_resolution": 0, "exposure": "off", "engine": "device", "sphere": False, **options}))
+    return prepare(
+        read_scene(scene),
+        resolve({}, {"max_resolution": 0, "exposure": "off", "engine": "device", "sphere": False, **options}),
+    )
 
 
-def time_steps(device: Device, scene: Path, count: int, profile: bool, **options: Any
-               ) -> dict[str, Any]:
+def time_steps(device: Device, scene: Path, count: int, profile: bool, **options: Any) -> dict[str, Any]:
     """Take every training view of a scene once, with all spherical harmonics, by turns.
 
     Parameters
@@ -55,30 +56,39 @@ def time_steps(device: Device, scene: Path, count: int, profile: bool, **options
         step()
         trial.finish()
         times.append((time.perf_counter() - start) * 1e3)
-    low, median, high = np.percentile(times[len(steps):], (25, 50, 75)).round(4).tolist()
+    low, median, high = np.percentile(times[len(steps) :], (25, 50, 75)).round(4).tolist()
     streamed = _streamed(trial, steps)
-    splats = [len(session.renderer.visible(session.model.rows, camera))
-              for camera in session.cameras]
+    splats = [len(session.renderer.visible(session.model.rows, camera)) for camera in session.cameras]
     width, height = views[0].camera.width, views[0].camera.height
-    record = {"scene": prepared.scene.name, "device": device.name, "form": device.form,
-              "gaussians": session.model.count, "visible": round(np.mean(splats)), "width": width,
-              "height": height, "median_ms": median, "quartiles_ms": [low, high],
-              "repeats": len(steps), **streamed,
-              "device_mib": device.memory_bytes >> 20}
+    record = {
+        "scene": prepared.scene.name,
+        "device": device.name,
+        "form": device.form,
+        "gaussians": session.model.count,
+        "visible": round(np.mean(splats)),
+        "width": width,
+        "height": height,
+        "median_ms": median,
+        "quartiles_ms": [low, high],
+        "repeats": len(steps),
+        **streamed,
+        "device_mib": device.memory_bytes >> 20,
+    }
     if profile:
         with device.profile() as kernels:
             for step in steps:
                 step()
-        record["kernels_ms"] = {name: round(sum(seconds) / len(views) * 1e3, 4) for name, seconds in
-                                sorted(kernels.items(), key=lambda kernel: -sum(kernel[1]))}
+        record["kernels_ms"] = {
+            name: round(sum(seconds) / len(views) * 1e3, 4)
+            for name, seconds in sorted(kernels.items(), key=lambda kernel: -sum(kernel[1]))
+        }
     return record
 
 
 def table(record: dict[str, Any]) -> str:
     """A line for each field of what `time_steps` returns."""
     lines = [f"{name:14} {value}" for name, value in record.items() if name != "kernels_ms"]
-    return "\n".join([*lines, *(f"  {kernel:20} {ms:8.3f} ms" for kernel, ms in record.get(
-        "kernels_ms", {}).items())])
+    return "\n".join([*lines, *(f"  {kernel:20} {ms:8.3f} ms" for kernel, ms in record.get("kernels_ms", {}).items())])
 
 
 def _streamed(trial: TrialSteps, steps: Sequence[Callable[[], object]]) -> dict[str, float]:
@@ -94,8 +104,15 @@ def _streamed(trial: TrialSteps, steps: Sequence[Callable[[], object]]) -> dict[
         enqueued = time.perf_counter()
         trial.finish()
         times[number] = enqueued - start, time.perf_counter() - start
-    launches, waits, allocations = ((now - first) / (rounds * STREAM) for first, now in zip(
-        before, (device.launches, device.waits, device.allocations)))
+    launches, waits, allocations = (
+        (now - first) / (rounds * STREAM)
+        for first, now in zip(before, (device.launches, device.waits, device.allocations))
+    )
     host, whole = (round(float(ms), 4) for ms in np.median(times, axis=0) / STREAM * 1e3)
-    return {"host_ms": host, "stream_ms": whole, "launches": launches,
-            "waits": waits - 1 / STREAM, "allocations": allocations}
+    return {
+        "host_ms": host,
+        "stream_ms": whole,
+        "launches": launches,
+        "waits": waits - 1 / STREAM,
+        "allocations": allocations,
+    }

@@ -19,8 +19,7 @@ from clsplat.io.records import write_object
 from clsplat.rendering.pipeline import Renderer
 from clsplat.training.session import Session
 
-USED = Forms(item=("item_runs", "scan_group"),
-             group=("group_size", "scan_group", "tile", "bucket", "adjoint_waves"))
+USED = Forms(item=("item_runs", "scan_group"), group=("group_size", "scan_group", "tile", "bucket", "adjoint_waves"))
 ALL = "all"  # in place of a size: the first sizes of a device and the last ones
 VIEWS = 8  # of a turn
 LEAST_GAIN = 0.02  # of the time, for which another size is taken
@@ -54,8 +53,10 @@ class Trial:
         if self.failure:
             return f"{begin}  fails: {self.failure}"
         low, median, high = self.quartiles
-        return (f"{begin}{self.old_ms:9.3f}{self.new_ms:9.3f}{median:8.3f}  "
-                f"{low:.3f} to {high:.3f}{'  faster' if self.faster else ''}")
+        return (
+            f"{begin}{self.old_ms:9.3f}{self.new_ms:9.3f}{median:8.3f}  "
+            f"{low:.3f} to {high:.3f}{'  faster' if self.faster else ''}"
+        )
 
 
 HEADING = f"{'size':14}{'old -> new':12}{'old ms':>9}{'new ms':>9}{'ratio':>8}  quartiles"
@@ -90,12 +91,10 @@ def trials(device: Device, begin: Callable[[Device], Turn], turns: int) -> Itera
 
 def _effective(device: Device) -> tuple[int, ...]:
     """The sizes that a device has, which may be less than those of the row."""
-    return (device.item_runs, device.group_size, device.scan_group, device.tile, device.bucket,
-            device.adjoint_group)
+    return (device.item_runs, device.group_size, device.scan_group, device.tile, device.bucket, device.adjoint_group)
 
 
-def _compared(name: str, old: Device, new: Device, begin: Callable[[Device], Turn], turns: int
-              ) -> Trial:
+def _compared(name: str, old: Device, new: Device, begin: Callable[[Device], Turn], turns: int) -> Trial:
     """Steps begin anew on both, as a training changes what a step costs."""
     gc.collect()  # what the last trial left on its devices
     first = begin(old)
@@ -104,8 +103,7 @@ def _compared(name: str, old: Device, new: Device, begin: Callable[[Device], Tur
         second = begin(new)
         second()
     except Exception as error:  # a driver may raise anything, and that is the result
-        return Trial(name, old.tuning, new.tuning,
-                     failure=" ".join(f"{type(error).__name__}: {error}".split())[:300])
+        return Trial(name, old.tuning, new.tuning, failure=" ".join(f"{type(error).__name__}: {error}".split())[:300])
     times = np.empty((turns, 2))
     for number in range(turns):  # each is the first one as often as the other
         for side in (0, 1) if number % 2 else (1, 0):
@@ -127,8 +125,11 @@ def steps_of(device: Device, scene: Path, count: int, **options: Any) -> Callabl
     prepared = prepared_for(scene, **options)
     views = prepared.train_views
     chosen = spread_out(len(views), VIEWS)
-    gaussians = sized(sampled(prepared.scene, count or len(prepared.scene.points), 3),
-                      Renderer(device, 0, prepared.near), [views[index].camera for index in chosen])
+    gaussians = sized(
+        sampled(prepared.scene, count or len(prepared.scene.points), 3),
+        Renderer(device, 0, prepared.near),
+        [views[index].camera for index in chosen],
+    )
 
     def begin(device: Device) -> Turn:
         trial = TrialSteps(Session(prepared, device, gaussians, SizedPhotos(device, views, 1.0)))
@@ -140,7 +141,9 @@ def steps_of(device: Device, scene: Path, count: int, **options: Any) -> Callabl
                 step()
             trial.finish()
             return (time.perf_counter() - start) / len(steps) * 1e3
+
         return turn
+
     return begin
 
 
@@ -151,10 +154,11 @@ def write_row(path: Path, device: Device, sizes: dict[str, int]) -> None:
     """
     failed = [line for line in check(Device(device.handle, tuning=sizes)) if not line[1]]
     if failed:
-        raise DeviceError(f"{device.name}: the self-test fails with these sizes ({failed[0][0]}: "
-                          f"{failed[0][2]}), so {path} was not written; keep the present ones")
-    others = [row for row in rows_in(path)
-              if {name: row.get(name) for name in REPORTED} != device.reported]
+        raise DeviceError(
+            f"{device.name}: the self-test fails with these sizes ({failed[0][0]}: "
+            f"{failed[0][2]}), so {path} was not written; keep the present ones"
+        )
+    others = [row for row in rows_in(path) if {name: row.get(name) for name in REPORTED} != device.reported]
     write_object(path, {"rows": [{**device.reported, **sizes}, *others]})
 
 

@@ -54,16 +54,16 @@ class BlockJob(Job):
         """As in `Job`; also where the block has come to a later exchange."""
         return super().is_done or 0 < self.until < self.block.last_exchange
 
-    def run(self, device: Device, progress: SilentProgress | None = None,
-            stopping: Callable[[], bool] = lambda: False) -> str:
+    def run(
+        self, device: Device, progress: SilentProgress | None = None, stopping: Callable[[], bool] = lambda: False
+    ) -> str:
         """Train the block; returns its state, see `train_block`.
 
         Another process that trains it is waited for: a worker that the scheduler has lost may
         finish the block.
         """
         self.block.check()
-        return train_block(self.block, device, progress, self.until, self.alone, LOCK_SECONDS,
-                           stopping, self.rests)
+        return train_block(self.block, device, progress, self.until, self.alone, LOCK_SECONDS, stopping, self.rests)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +87,12 @@ def _taken_up(block: BlockFolder, device: Device | None) -> Begun | None:
     if not _resting:
         return None
     begun = _resting.pop()
-    if (begun.run.path.resolve() == block.run.resolve() and begun.training.session.device is device
-            and block.last_exchange == begun.run.number and not begun.run.checkpoint_iteration()):
+    if (
+        begun.run.path.resolve() == block.run.resolve()
+        and begun.training.session.device is device
+        and block.last_exchange == begun.run.number
+        and not begun.run.checkpoint_iteration()
+    ):
         return begun
     begun.close()
     return None
@@ -99,8 +103,9 @@ def decided_by(coarse: RunFolder) -> dict[str, Any]:
     decisions, path = coarse.read_options().get("decisions"), coarse.path / OPTIONS
     known = decisions if isinstance(decisions, dict) else {}
     if not set(DECIDED) <= set(known):
-        raise InputError(f"{path}: damaged (decisions is {str(decisions)[:20]!r}); remove "
-                         f"{coarse.path}, and train it again")
+        raise InputError(
+            f"{path}: damaged (decisions is {str(decisions)[:20]!r}); remove {coarse.path}, and train it again"
+        )
     return checked_values(str(path), {name: known[name] for name in DECIDED})
 
 
@@ -119,10 +124,17 @@ def block_options(block: BlockFolder, **changes: Any) -> TrainOptions:
     return resolve(values, {"init": str(block.initial), **changes})
 
 
-def train_block(block: BlockFolder, device: Device | None = None,
-                progress: SilentProgress | None = None, until: int = 0, alone: bool = False,
-                patience: float = 0.0, stopping: Callable[[], bool] = lambda: False,
-                rests: bool = False, **changes: Any) -> str:
+def train_block(
+    block: BlockFolder,
+    device: Device | None = None,
+    progress: SilentProgress | None = None,
+    until: int = 0,
+    alone: bool = False,
+    patience: float = 0.0,
+    stopping: Callable[[], bool] = lambda: False,
+    rests: bool = False,
+    **changes: Any,
+) -> str:
     """Train a block from its folder, which contains all that it needs: from the start or from the
     last checkpoint of its run, to the end or to an exchange with blocks that have not come as far.
 
@@ -155,16 +167,16 @@ def train_block(block: BlockFolder, device: Device | None = None,
         try:
             begun.training.take(closes=False)
         except Interrupted as stopped:
-            if (not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at
-                    or stopping()):
+            if not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at or stopping():
                 raise
 
     with run.locked(patience):
-        for name, recorded, present in (differences(run.read_options(), options)
-                                        if run.is_begun else ()):
+        for name, recorded, present in differences(run.read_options(), options) if run.is_begun else ():
             if name != MAY_DIFFER:
-                raise InputError(f"{run.path}: was begun with {name} {recorded}, and block.json "
-                                 f"has {present}; put that back, or remove the run")
+                raise InputError(
+                    f"{run.path}: was begun with {name} {recorded}, and block.json "
+                    f"has {present}; put that back, or remove the run"
+                )
         if run.is_finished:
             return BEFORE
         others = other_blocks(block) if exchanges and not alone else []
@@ -184,14 +196,15 @@ def train_block(block: BlockFolder, device: Device | None = None,
                 exchanges_now = done and (begun or run.checkpoint_iteration() <= step_of(done))
                 if exchanges_now and (lacking := lacking_blocks(others, done)):
                     more = " ..." * (len(lacking) > MOST_NAMED)
-                    return (f"waits at {place}: train {', '.join(lacking[:MOST_NAMED])}{more} too, "
-                            "then this block again")
+                    return f"waits at {place}: train {', '.join(lacking[:MOST_NAMED])}{more} too, then this block again"
                 if not begun:
-                    own = BlockRun(block, scene, done,
-                                   owned_at(block, done) if exchanges_now else None)
-                    begun = Begun(training_of(
-                        scene.scene, options, opened, own, progress, (stop,),
-                        scene.parts(options.exposure == "on")), own)
+                    own = BlockRun(block, scene, done, owned_at(block, done) if exchanges_now else None)
+                    begun = Begun(
+                        training_of(
+                            scene.scene, options, opened, own, progress, (stop,), scene.parts(options.exposure == "on")
+                        ),
+                        own,
+                    )
                     stack.callback(begun.close)
                 if exchanges_now:
                     if progress:
@@ -206,8 +219,9 @@ def train_block(block: BlockFolder, device: Device | None = None,
                     remove_passed(CityFolder(block.path.absolute().parents[1]).blocks())
 
 
-def train_blocks(city: CityFolder, workers: Workers, device: Device, shown: Shown | None = None,
-                 fill: bool = False) -> list[Outcome]:
+def train_blocks(
+    city: CityFolder, workers: Workers, device: Device, shown: Shown | None = None, fill: bool = False
+) -> list[Outcome]:
     """Train the blocks that are not finished, the longest first; return the outcome of every block.
 
     Where blocks exchange gaussians, a block goes on as soon as those with which it does so have
@@ -215,8 +229,7 @@ def train_blocks(city: CityFolder, workers: Workers, device: Device, shown: Show
     this process on `device`.
     """
     shown = shown or Shown()
-    blocks = {block.path.name: block
-              for block in sorted(city.blocks(), key=_expected_work, reverse=True)}
+    blocks = {block.path.name: block for block in sorted(city.blocks(), key=_expected_work, reverse=True)}
     # each block has a process, which need not read it again
     rests = workers.number >= len(blocks) > 1 and not workers.scheduler
     places = {name: f"block {place} of {len(blocks)}" for place, name in enumerate(blocks, 1)}
@@ -234,24 +247,26 @@ def train_blocks(city: CityFolder, workers: Workers, device: Device, shown: Show
 
     def ended(outcome: Outcome) -> None:
         name = outcome.job.name + ("" if outcome.ok else ", failed")
-        city.add_stage(StageTime(name, outcome.worker, time.time() - outcome.seconds,
-                                 outcome.seconds))
-        shown.line(f"{title(outcome.job)} (blocks/{outcome.job.block.path.name}): "
-                   f"{'finished' if outcome.ok else 'failed'} after {outcome.seconds:.0f} s")
+        city.add_stage(StageTime(name, outcome.worker, time.time() - outcome.seconds, outcome.seconds))
+        shown.line(
+            f"{title(outcome.job)} (blocks/{outcome.job.block.path.name}): "
+            f"{'finished' if outcome.ok else 'failed'} after {outcome.seconds:.0f} s"
+        )
 
     def trained(jobs: Iterable[BlockJob]) -> dict[str, Outcome]:
         device_name = workers.devices[0] if len(workers.devices) == 1 else ""
-        return _by_block(workers.run([replace(job, device=device_name or job.device, rests=rests)
-                                      for job in jobs], here, began, ended))
+        return _by_block(
+            workers.run(
+                [replace(job, device=device_name or job.device, rests=rests) for job in jobs], here, began, ended
+            )
+        )
 
     outcomes = trained(jobs_of(city, list(blocks.values())))
     if fill and any(not outcome.ok for outcome in outcomes.values()):
-        outcomes |= trained(job_of(block, alone=True) for name, block in blocks.items()
-                            if outcomes[name].ok)
+        outcomes |= trained(job_of(block, alone=True) for name, block in blocks.items() if outcomes[name].ok)
     for outcome in outcomes.values():
         if not outcome.ok:
-            shown.failure(f"block {outcome.job.block.path.name} failed on {outcome.worker}: "
-                          f"{_reason_of(outcome)}")
+            shown.failure(f"block {outcome.job.block.path.name} failed on {outcome.worker}: {_reason_of(outcome)}")
     return list(outcomes.values())
 
 
@@ -263,22 +278,33 @@ def jobs_of(city: CityFolder, blocks: Sequence[BlockFolder]) -> Iterator[BlockJo
     stages = 1 + max((len(block.exchanges) for block in blocks), default=0)
     for stage in range(1, stages + 1):
         for block in blocks:
-            if stage == stages or stage <= block.last_exchange or not RunFolder(
-                    block.run).is_finished:
+            if stage == stages or stage <= block.last_exchange or not RunFolder(block.run).is_finished:
                 needed = [block, *map(city.block, block.others)] if stage > 1 else []
-                yield job_of(block, stage if stage < stages else 0, stages, tuple(
-                    _name(other, stage - 1, stages) for other in needed))
+                yield job_of(
+                    block,
+                    stage if stage < stages else 0,
+                    stages,
+                    tuple(_name(other, stage - 1, stages) for other in needed),
+                )
 
 
-def job_of(block: BlockFolder, until: int = 0, stages: int = 1, after: tuple[str, ...] = (),
-           alone: bool = False) -> BlockJob:
+def job_of(
+    block: BlockFolder, until: int = 0, stages: int = 1, after: tuple[str, ...] = (), alone: bool = False
+) -> BlockJob:
     """The training of a block, one of `stages`; see `BlockJob`."""
     block = BlockFolder(block.path.resolve())
     options = block.read()["options"]
-    return BlockJob(_name(block, until or stages, stages), block.run,
-                    str(options.get("device", "auto")), str(options.get("form", "auto")), after,
-                    block.exchanged(until) if until else RunFolder(block.run).model_path,
-                    block, until, alone)
+    return BlockJob(
+        _name(block, until or stages, stages),
+        block.run,
+        str(options.get("device", "auto")),
+        str(options.get("form", "auto")),
+        after,
+        block.exchanged(until) if until else RunFolder(block.run).model_path,
+        block,
+        until,
+        alone,
+    )
 
 
 def _name(block: BlockFolder, stage: int, stages: int) -> str:
@@ -297,8 +323,7 @@ def _by_block(outcomes: Iterable[Outcome]) -> dict[str, Outcome]:
 def _reason_of(outcome: Outcome) -> str:
     """Why a block failed, in one line with the cure."""
     if isinstance(outcome.error, OutOfDeviceMemory):
-        return (f"{outcome.error}; or begin a new city with smaller blocks, by a finer --grid or "
-                "fewer --block-gaussians")
+        return f"{outcome.error}; or begin a new city with smaller blocks, by a finer --grid or fewer --block-gaussians"
     return str(outcome.error)
 
 

@@ -26,11 +26,29 @@ from clsplat.scene import Scene, View
 TRAINED_DEVIATIONS = 2.0  # that must lie within a block's reach for the block to train a gaussian
 CHUNK_ROWS = 1 << 20  # that are on the device together, which may train a block
 _PLACES = dict(positions=("real", "N", 3), log_scales=("real", "N", 3), outside=("uint", "N"))
-OUTSIDE = Kernel("choose.cl", "choose_outside", each("count"), count="uint", contracted="uint",
-                 deviations="real", step_u="real", step_v="real",
-                 space=("real", 12), cell=("real", 6), **_PLACES)
-SIZES = Kernel("choose.cl", "choose_sizes", each("count"), count="uint", views="uint",
-               cameras=("real", "V", CAMERA_REALS), **_PLACES, sizes=("real", "N"))
+OUTSIDE = Kernel(
+    "choose.cl",
+    "choose_outside",
+    each("count"),
+    count="uint",
+    contracted="uint",
+    deviations="real",
+    step_u="real",
+    step_v="real",
+    space=("real", 12),
+    cell=("real", 6),
+    **_PLACES,
+)
+SIZES = Kernel(
+    "choose.cl",
+    "choose_sizes",
+    each("count"),
+    count="uint",
+    views="uint",
+    cameras=("real", "V", CAMERA_REALS),
+    **_PLACES,
+    sizes=("real", "N"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +87,15 @@ class BlockStart:
     dense: int = 0
 
 
-def trainable(scene: Scene, region: Region, positions: NDArray[np.floating],
-              log_scales: NDArray[np.floating]) -> NDArray[np.bool_]:
+def trainable(
+    scene: Scene, region: Region, positions: NDArray[np.floating], log_scales: NDArray[np.floating]
+) -> NDArray[np.bool_]:
     """Which gaussians a block trains, as bool[N]; the others are frozen. On the host: how many they
     are is asked before there is a model.
 
     These are the gaussians that its region reaches with TRAINED_DEVIATIONS standard deviations.
     `positions`, `log_scales` : [N, 3], in the local frame of the scene."""
+
     def trains(some: NDArray[np.floating], logs: NDArray[np.floating]) -> NDArray[np.bool_]:
         deviations = np.exp(np.maximum.reduce(logs.T).astype(np.float64))
         return region.reaches(world_of(scene, some), scene.unit * TRAINED_DEVIATIONS * deviations)
@@ -83,9 +103,15 @@ def trainable(scene: Scene, region: Region, positions: NDArray[np.floating],
     return in_parts(trains, positions, log_scales)
 
 
-def note_outside(device: Device, scene: Scene, region: Region, positions: Array,
-                 log_scales: Array, outside: Array,
-                 deviations: float = TRAINED_DEVIATIONS) -> None:
+def note_outside(
+    device: Device,
+    scene: Scene,
+    region: Region,
+    positions: Array,
+    log_scales: Array,
+    outside: Array,
+    deviations: float = TRAINED_DEVIATIONS,
+) -> None:
     """Write 1 for rows that a region does not reach with so many of their largest standard
     deviations; see `Region.reaches`.
 
@@ -98,36 +124,62 @@ def note_outside(device: Device, scene: Scene, region: Region, positions: Array,
     turn = space.rotation / space.half[:, None]
     step_u, step_v = (scene.unit / space.half[:2]).tolist()
     device.launch(
-        OUTSIDE, count=len(outside), contracted=int(space.contracted),
-        deviations=deviations, step_u=step_u, step_v=step_v, space=device.upload(np.concatenate(
-            [scene.unit * turn.reshape(-1), turn @ (scene.offset - space.origin)])),
-        cell=device.upload(np.concatenate([grown.low, grown.high])), positions=positions,
-        log_scales=log_scales, outside=outside)
+        OUTSIDE,
+        count=len(outside),
+        contracted=int(space.contracted),
+        deviations=deviations,
+        step_u=step_u,
+        step_v=step_v,
+        space=device.upload(np.concatenate([scene.unit * turn.reshape(-1), turn @ (scene.offset - space.origin)])),
+        cell=device.upload(np.concatenate([grown.low, grown.high])),
+        positions=positions,
+        log_scales=log_scales,
+        outside=outside,
+    )
 
 
-def find_sizes(device: Device, positions: NDArray[np.floating], log_scales: NDArray[np.floating],
-               scene: Scene, region: Region, views: Sequence[View]
-               ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+def find_sizes(
+    device: Device,
+    positions: NDArray[np.floating],
+    log_scales: NDArray[np.floating],
+    scene: Scene,
+    region: Region,
+    views: Sequence[View],
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
     """Which gaussians a region reaches, bool[N], and two standard deviations of each in the view
     that shows it largest, pixels, at most 1: [N], 0 where no view shows it, 1 where it is reached.
     Arguments as for `choose_gaussians`."""
-    cameras = device.upload(np.reshape([camera_row(view.camera, scene.near_plane)
-                                        for view in views], (-1, CAMERA_REALS)))
+    cameras = device.upload(
+        np.reshape([camera_row(view.camera, scene.near_plane) for view in views], (-1, CAMERA_REALS))
+    )
     reached, found = np.empty(len(positions), bool), np.empty(len(positions))
     for begin in range(0, len(positions), CHUNK_ROWS):
         part = slice(begin, begin + CHUNK_ROWS)
         places, scales = device.upload(positions[part]), device.upload(log_scales[part])
         outside, sizes = device.zeros(len(places), np.uint32), device.empty(len(places))
         note_outside(device, scene, region, places, scales, outside, deviations=0.0)
-        device.launch(SIZES, count=len(places), views=len(views), cameras=cameras,
-                      positions=places, log_scales=scales, outside=outside, sizes=sizes)
+        device.launch(
+            SIZES,
+            count=len(places),
+            views=len(views),
+            cameras=cameras,
+            positions=places,
+            log_scales=scales,
+            outside=outside,
+            sizes=sizes,
+        )
         reached[part], found[part] = outside.download() == 0, sizes.download()
     return reached, found
 
 
-def choose_gaussians(device: Device, positions: NDArray[np.floating],
-                     log_scales: NDArray[np.floating], scene: Scene, region: Region,
-                     views: Sequence[View]) -> Choice:
+def choose_gaussians(
+    device: Device,
+    positions: NDArray[np.floating],
+    log_scales: NDArray[np.floating],
+    scene: Scene,
+    region: Region,
+    views: Sequence[View],
+) -> Choice:
     """Choose the gaussians that the block of a region holds.
 
     Surroundings that are smaller than a pixel in every view are thinned: where two standard
@@ -143,32 +195,35 @@ def choose_gaussians(device: Device, positions: NDArray[np.floating],
     owned = reached.copy()
     owned[reached] = in_parts(lambda some: region.owns(world_of(scene, some)), positions[reached])
     kept = np.flatnonzero(np.random.default_rng(0).random(len(size)) < size**2)
-    return Choice(kept, (log_scales[kept] - np.log(size[kept])[:, None]).astype(log_scales.dtype),
-                  owned[kept], reached[kept])
+    return Choice(
+        kept, (log_scales[kept] - np.log(size[kept])[:, None]).astype(log_scales.dtype), owned[kept], reached[kept]
+    )
 
 
 def block_start(gaussians: Gaussians, chosen: Choice) -> BlockStart:
     """What a block starts from of a coarse model, in the local frame of the whole scene."""
-    rows = {name: values[chosen.indices] for name, values in gaussians.rows.items()
-            if name != "log_scales"}
-    return BlockStart(Gaussians({**rows, "log_scales": chosen.log_scales}, gaussians.sh_degree),
-                      chosen.indices, int(chosen.owned.sum()),
-                      int((chosen.reached & ~chosen.owned).sum()), int((~chosen.reached).sum()))
+    rows = {name: values[chosen.indices] for name, values in gaussians.rows.items() if name != "log_scales"}
+    return BlockStart(
+        Gaussians({**rows, "log_scales": chosen.log_scales}, gaussians.sh_degree),
+        chosen.indices,
+        int(chosen.owned.sum()),
+        int((chosen.reached & ~chosen.owned).sum()),
+        int((~chosen.reached).sum()),
+    )
 
 
-def filled(start: BlockStart, dense: Gaussians, scene: Scene, region: Region, most: int = 0
-           ) -> BlockStart:
+def filled(start: BlockStart, dense: Gaussians, scene: Scene, region: Region, most: int = 0) -> BlockStart:
     """A start with those dense gaussians, at most to `most` in all, that its region reaches and
     that stand in its gaps: where no other one of the start lies within a gaussian's deviation."""
     positions = dense.positions.astype(np.float64)
     added = np.flatnonzero(in_parts(region.reaches, world_of(scene, positions)))
     if start.gaussians.count:
         distance, _ = scipy.spatial.cKDTree(start.gaussians.positions, balanced_tree=False).query(
-            positions[added], workers=-1)
+            positions[added], workers=-1
+        )
         added = added[distance > np.exp(dense.log_scales[added, 0])]
     if most:
         room = max(0, most - start.gaussians.count)
         added = np.sort(np.random.default_rng(0).permutation(added)[:room])
-    rows = {name: np.concatenate([values, dense.rows[name][added]])
-            for name, values in start.gaussians.rows.items()}
+    rows = {name: np.concatenate([values, dense.rows[name][added]]) for name, values in start.gaussians.rows.items()}
     return replace(start, gaussians=Gaussians(rows, start.gaussians.sh_degree), dense=len(added))

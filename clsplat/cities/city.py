@@ -80,8 +80,7 @@ class City:
     device: Device
 
     @classmethod
-    def open(cls, folder: CityFolder, scene_path: Path | None = None, device: str | Device = ""
-             ) -> City:
+    def open(cls, folder: CityFolder, scene_path: Path | None = None, device: str | Device = "") -> City:
         """A city that was begun, or that begins here with the coarse run in CITY/coarse.
 
         `scene_path` : where the scene is now, if it was moved; `device` : its name, "" for that of
@@ -92,14 +91,14 @@ class City:
             options = resolve({}, checked_values(str(folder.path / CITY), record["options"]))
             scene = read_scene(recorded_scene(record, folder.path, scene_path), options.images)
             if fingerprint(scene) != record["fingerprint"]:
-                raise InputError(f"{folder.path}: its scene {scene.path} has changed since; put it "
-                                 "back, or begin a new city")
+                raise InputError(
+                    f"{folder.path}: its scene {scene.path} has changed since; put it back, or begin a new city"
+                )
         else:
             run = Run.open(folder.coarse)
             options, scene = _options_before(run), run.scene(scene_path, whole=True)
         if not isinstance(device, Device):
-            device = (choose_device(device) if device else
-                      choose_device(options.device, form=options.form))
+            device = choose_device(device) if device else choose_device(options.device, form=options.form)
         city = cls(folder, scene, options, device)
         if not begun:
             city.begin()
@@ -108,8 +107,7 @@ class City:
     @cached_property
     def pinhole(self) -> Scene:
         """The scene as it is trained: with depth maps, and photos without distortion."""
-        return undistorted(with_depths(self.scene, self.options.depth), self.folder.undistorted,
-                           THREADS)
+        return undistorted(with_depths(self.scene, self.options.depth), self.folder.undistorted, THREADS)
 
     def begin(self) -> None:
         """Write the scene and the options of the whole into city.json.
@@ -118,19 +116,28 @@ class City:
         poses."""
         folder, options = self.folder, self.options
         if options.poses == "on":
-            raise InputError("--poses on: is for single runs; the blocks of a city would correct "
-                             "the same poses differently, so leave it out")
-        record = {**scene_record(self.scene.path, folder.path),
-                  "fingerprint": fingerprint(self.scene), "options": dataclasses.asdict(options)}
+            raise InputError(
+                "--poses on: is for single runs; the blocks of a city would correct "
+                "the same poses differently, so leave it out"
+            )
+        record = {
+            **scene_record(self.scene.path, folder.path),
+            "fingerprint": fingerprint(self.scene),
+            "options": dataclasses.asdict(options),
+        }
         if folder.has_record:
             earlier = folder.read(options=dict)
             if earlier["fingerprint"] != record["fingerprint"]:
-                raise InputError(f"{folder.path}: is the city of another scene, "
-                                 f"{earlier.get('scene_absolute')}; choose another --output")
+                raise InputError(
+                    f"{folder.path}: is the city of another scene, "
+                    f"{earlier.get('scene_absolute')}; choose another --output"
+                )
             changed = next(differences(earlier["options"], options), None)
             if changed and RunFolder(folder.coarse).is_begun:  # else they have not been used yet
-                raise InputError(f"{folder.path}: was begun with {changed[0]} {changed[1]}; give "
-                                 "the same options, or choose another --output")
+                raise InputError(
+                    f"{folder.path}: was begun with {changed[0]} {changed[1]}; give "
+                    "the same options, or choose another --output"
+                )
         make_folder(folder.path, "choose another --output")
         folder.write(record)
 
@@ -148,8 +155,7 @@ class City:
         return read_ply(self.folder.dense, self.scene.offset).with_sh_degree(sh_degree)
 
 
-def train_coarse(city: City, progress: SilentProgress | None = None, joint: bool = False
-                 ) -> RunFolder:
+def train_coarse(city: City, progress: SilentProgress | None = None, joint: bool = False) -> RunFolder:
     """Train the coarse model in CITY/coarse, or continue its training; return its folder.
 
     `joint` : whether the city will be trained jointly.
@@ -160,8 +166,7 @@ def train_coarse(city: City, progress: SilentProgress | None = None, joint: bool
     coarse = coarse_options(city, joint)
     with folder.locked():
         if folder.is_begun:  # as it was begun: on another device there may be no joint training
-            coarse = dataclasses.replace(
-                coarse, iterations=Run.open(folder.path).options.iterations)
+            coarse = dataclasses.replace(coarse, iterations=Run.open(folder.path).options.iterations)
         training_of(city.pinhole, coarse, city.device, folder, progress).take()
     return folder
 
@@ -175,20 +180,27 @@ def coarse_options(city: City, joint: bool = False) -> TrainOptions:
     options, (one_run, _) = city.options, city.one_run
     share = COARSE_SHARE_BEFORE_JOINT if joint else COARSE_SHARE
     return dataclasses.replace(
-        options, coarse=True, init=AUTO,
+        options,
+        coarse=True,
+        init=AUTO,
         downscale=COARSE_FACTOR * options.downscale,
         max_resolution=-(-options.max_resolution // COARSE_FACTOR),
-        iterations=max(1, int(share * one_run)), eval_every=0)
+        iterations=max(1, int(share * one_run)),
+        eval_every=0,
+    )
 
 
 def _options_before(run: Run) -> TrainOptions:
     """The options of the whole, of which a run by itself is the coarse run."""
     coarse = run.options
     if not coarse.coarse:
-        raise InputError(f"{run.path}: was not trained with --coarse; begin again with "
-                         f"`clsplat train SCENE --coarse -o {run.path}`")
+        raise InputError(
+            f"{run.path}: was not trained with --coarse; begin again with `clsplat train SCENE --coarse -o {run.path}`"
+        )
     return dataclasses.replace(
-        coarse, coarse=False, downscale=max(1.0, coarse.downscale / COARSE_FACTOR),
+        coarse,
+        coarse=False,
+        downscale=max(1.0, coarse.downscale / COARSE_FACTOR),
         max_resolution=COARSE_FACTOR * coarse.max_resolution,
-        iterations=(coarse.iterations if is_auto(coarse.iterations) else
-                    int(coarse.iterations / COARSE_SHARE)))
+        iterations=(coarse.iterations if is_auto(coarse.iterations) else int(coarse.iterations / COARSE_SHARE)),
+    )

@@ -49,30 +49,38 @@ class Cluster:
             workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
         self._slots = sum(int(worker["resources"].get(RESOURCE, 0)) for worker in workers)
         self._next_poll = now + POLL_SECONDS
-        cure = (f"start workers with `dask worker {self._address} --nthreads 1 --resources "
-                f"{RESOURCE}=1`")
+        cure = f"start workers with `dask worker {self._address} --nthreads 1 --resources {RESOURCE}=1`"
         if self._slots:
             self._worker_seen = now
         elif now - self._worker_seen > WAIT_SECONDS:
-            raise InputError(f"--scheduler {self._address}: has had no worker with a device for "
-                             f"{WAIT_SECONDS} s; {cure}; finished jobs are kept")
+            raise InputError(
+                f"--scheduler {self._address}: has had no worker with a device for "
+                f"{WAIT_SECONDS} s; {cure}; finished jobs are kept"
+            )
         elif before:
-            log.warning("%s: has no worker with a device; waiting up to %d s; %s", self._address,
-                        WAIT_SECONDS, cure)
+            log.warning("%s: has no worker with a device; waiting up to %d s; %s", self._address, WAIT_SECONDS, cure)
         return self._slots
 
     def submit(self, job: Job) -> Any:
         """Start the job on a worker with a free device."""
-        return self._client.submit(_on_worker, job, clsplat.__version__, self._run, pure=False,
-                                   key=f"{job.name}-{uuid.uuid4().hex}", resources={RESOURCE: 1})
+        return self._client.submit(
+            _on_worker,
+            job,
+            clsplat.__version__,
+            self._run,
+            pure=False,
+            key=f"{job.name}-{uuid.uuid4().hex}",
+            resources={RESOURCE: 1},
+        )
 
     def result(self, future: Any) -> tuple[Any, str]:
         """What the job returned; a worker that is unfit is removed from the cluster."""
         distributed = _distributed()
         try:
             if future.cancelled():
-                log.warning("%s: connection lost, waiting for the scheduler for up to %d s",
-                            self._address, WAIT_SECONDS)
+                log.warning(
+                    "%s: connection lost, waiting for the scheduler for up to %d s", self._address, WAIT_SECONDS
+                )
                 self._client.close(1)
                 self._client = connected(self._address, WAIT_SECONDS)
                 raise Lost("the connection to the scheduler was lost")
@@ -109,7 +117,8 @@ def connected(address: str, seconds: float = CONNECT_SECONDS) -> Any:
     except (OSError, ValueError, TypeError, distributed.TimeoutError) as error:
         raise InputError(
             f"--scheduler {address}: no Dask scheduler answers ({line_of(error)}); start one with "
-            "`dask scheduler`, or correct the address; finished jobs are kept") from None
+            "`dask scheduler`, or correct the address; finished jobs are kept"
+        ) from None
 
 
 def _distributed() -> Any:
@@ -126,8 +135,7 @@ def _on_worker(job: Job, version: str, run: str) -> tuple[Any, str]:
     worker = _distributed().get_worker()
 
     def stopping() -> bool:
-        return bool(getattr(worker, STOPPED, None) == run
-                    or worker.status.name not in ("running", "paused"))
+        return bool(getattr(worker, STOPPED, None) == run or worker.status.name not in ("running", "paused"))
 
     try:
         if not job.folder.is_dir():
@@ -137,8 +145,7 @@ def _on_worker(job: Job, version: str, run: str) -> tuple[Any, str]:
         device = device_here(job.device, job.form)
     except DeviceError as error:
         name = "" if str(worker.name) == worker.address else f" {worker.name}"
-        return Unfit(f"worker{name} at {worker.address} on {socket.gethostname()}: {error}"
-                     ), worker.address
+        return Unfit(f"worker{name} at {worker.address} on {socket.gethostname()}: {error}"), worker.address
     return None if job.is_done else job.run(device, stopping=stopping), worker.address
 
 

@@ -75,40 +75,37 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
     else:
         partition_options, drop = partition_options.decided(), None
         if partition_options.method == "citygs" and partition_options.grid != (1, 1):
-            drop = partial(drop_changes, city.device, gaussians,
-                           scene.reduced(small.downscale, small.max_resolution))
+            drop = partial(drop_changes, city.device, gaussians, scene.reduced(small.downscale, small.max_resolution))
         partition = make_partition(scene, partition_options, gaussians, views, drop)
         record = {**partition.record(), REQUESTED: plain(partition_options)}
         if steps_together := partition_options.joint_steps * one_run:
             # the growth of one run that begins at dense points, and the levels of one that begins
             # at a file of gaussians, with fewer steps
-            given = block_steps(city, steps_together,
-                                smallest_size([scene.views[index] for index in views]), facts)
-            record[JOINT] = {**options_of_blocks(given, decided), "depth": options.depth,
-                             "levels": options.levels}
+            given = block_steps(city, steps_together, smallest_size([scene.views[index] for index in views]), facts)
+            record[JOINT] = {**options_of_blocks(given, decided), "depth": options.depth, "levels": options.levels}
         folder.write_partition(record)
     owner = partition.owner(world_of(scene, gaussians.positions))
     counts = np.bincount(owner, minlength=len(partition.regions))
     exposures = read_exposures(coarse.folder.path)
     requested = requested_of(folder)
-    visits = visits_of_blocks(partition, scene, gaussians, owner,
-                              requested.get("block_steps", BLOCK_STEPS))
+    visits = visits_of_blocks(partition, scene, gaussians, owner, requested.get("block_steps", BLOCK_STEPS))
     steps = [one_run / len(views) * each.sum() for each in visits]
     # with a time budget it is not known before when which step is taken
-    exchanges = 0 if options.time_budget or len(steps) < 2 else min(
-        requested.get("exchanges") or 0, *(most_exchanges(round(number)) for number in steps))
+    exchanges = (
+        0
+        if options.time_budget or len(steps) < 2
+        else min(requested.get("exchanges") or 0, *(most_exchanges(round(number)) for number in steps))
+    )
 
     device_in_use = Lock()
 
     def write(number: int) -> None:
         region, views = partition.regions[number], partition.views[number]
-        own = dataclasses.replace(scene, views=tuple(scene.views[i] for i in views),
-                                  observations=None)
+        own = dataclasses.replace(scene, views=tuple(scene.views[i] for i in views), observations=None)
         windows = find_windows(gaussians, scene, region, own.views)
         own = own.cropped(windows).reduced(options.downscale, options.max_resolution)
         with device_in_use:
-            chosen = choose_gaussians(city.device, gaussians.positions, gaussians.log_scales, scene,
-                                      region, own.views)
+            chosen = choose_gaussians(city.device, gaussians.positions, gaussians.log_scales, scene, region, own.views)
         part = block_start(gaussians, chosen)
         if dense:
             part = filled(part, dense, scene, region, options.max_gaussians)
@@ -119,18 +116,33 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
             each = bytes_of(options.memory_budget) // requested.get("sharing", 1)
             given["memory_budget"] = f"{max(LEAST_BYTES, each) >> 20}MiB"
         folder.write_block(
-            number, scene, views, region, windows, part.gaussians, exposures,
+            number,
+            scene,
+            views,
+            region,
+            windows,
+            part.gaussians,
+            exposures,
             options_of_blocks(given, decided),
-            {**folder.identity(), "views": len(views), "own": part.own, "margin": part.margin,
-             "surroundings": part.surroundings,
-             **({DENSE: part.dense} if dense else {}),
-             OTHERS: sorted(set(owner[part.indices].tolist()) - {-1, number}),
-             **({EXCHANGES: exchange_steps(given["iterations"], exchanges)} if exchanges else {})},
-            {view.name: float(each) for view, each in zip(own.views, visits[number])})
+            {
+                **folder.identity(),
+                "views": len(views),
+                "own": part.own,
+                "margin": part.margin,
+                "surroundings": part.surroundings,
+                **({DENSE: part.dense} if dense else {}),
+                OTHERS: sorted(set(owner[part.indices].tolist()) - {-1, number}),
+                **({EXCHANGES: exchange_steps(given["iterations"], exchanges)} if exchanges else {}),
+            },
+            {view.name: float(each) for view, each in zip(own.views, visits[number])},
+        )
 
     numbers = ((number,) for number in range(len(partition.regions)))
-    rows = (gaussians.count + (dense.count if dense else 0)) * (
-        1 + 2 * partition.regions[0].margin) ** 2 / len(partition.regions)
+    rows = (
+        (gaussians.count + (dense.count if dense else 0))
+        * (1 + 2 * partition.regions[0].margin) ** 2
+        / len(partition.regions)
+    )
     together = int(min(MOST_TOGETHER, max(1, HOST_SHARE * host_memory() / (ROW_BYTES * rows))))
     for _ in called_ahead(write, numbers, together, together):
         pass  # an error is raised here
@@ -145,7 +157,8 @@ def _is_cut(city: CityFolder, scene: Scene) -> bool:
     partition, identity = city.partition(scene), city.identity()
     blocks = [city.block(number) for number in range(len(partition.regions))]
     if not city.picture.is_file() or not all(
-            block.is_there and identity.items() <= block.read().items() for block in blocks):
+        block.is_there and identity.items() <= block.read().items() for block in blocks
+    ):
         return False
     for block, chosen in zip(blocks, partition.views):
         link_again(block.path, [scene.views[index] for index in chosen])
@@ -155,26 +168,36 @@ def _is_cut(city: CityFolder, scene: Scene) -> bool:
 def _block_table(city: CityFolder) -> Table:
     """The start of each block of a city."""
     names = ("own", "margin", "surroundings", DENSE, "views")
-    rows = [(block.path.name, *(f"{record.get(column, 0):,}" for column in names),
-             f"{record['options']['iterations']:,}")
-            for block in city.blocks() for record in [block.read("own", "margin", "views")]]
-    return Table("Blocks", ("block", "gaussians", "margin", "around", "dense", "views", "steps"),
-                 rows, range(1, 7), (
-        "Gaussians: of the coarse run; around: those that the block holds without training them; "
-        "dense: those that begin at dense points, in gaps of the coarse model (--init sfm leaves "
-        "them out).",))
+    rows = [
+        (block.path.name, *(f"{record.get(column, 0):,}" for column in names), f"{record['options']['iterations']:,}")
+        for block in city.blocks()
+        for record in [block.read("own", "margin", "views")]
+    ]
+    return Table(
+        "Blocks",
+        ("block", "gaussians", "margin", "around", "dense", "views", "steps"),
+        rows,
+        range(1, 7),
+        (
+            "Gaussians: of the coarse run; around: those that the block holds without training them; "
+            "dense: those that begin at dense points, in gaps of the coarse model (--init sfm leaves "
+            "them out).",
+        ),
+    )
 
 
-def visits_of_blocks(partition: Partition, scene: Scene, gaussians: Gaussians,
-                     owner: NDArray[np.integer], together: float) -> list[NDArray[np.float64]]:
+def visits_of_blocks(
+    partition: Partition, scene: Scene, gaussians: Gaussians, owner: NDArray[np.integer], together: float
+) -> list[NDArray[np.float64]]:
     """How often each block visits each of its views, where a run of the whole scene does so once.
 
     In proportion to the share of a view's gaussians that the block owns. So a block learns from
     what shows most of it, and the steps of all blocks together do not depend on how many blocks a
     photo shows. No block takes more steps than one run does with its views; if none does, all take
     `together` visits. `owner` : the block of each gaussian of the coarse run, int[N]."""
-    shares = owned_shares(owner, gaussians.positions.astype(np.float64), scene.views,
-                          scene.near_plane, len(partition.regions))
+    shares = owned_shares(
+        owner, gaussians.positions.astype(np.float64), scene.views, scene.near_plane, len(partition.regions)
+    )
     found = []
     for number, chosen in enumerate(partition.views):
         visits = np.maximum(together * shares[chosen, number], LEAST_VISITS)
@@ -182,16 +205,18 @@ def visits_of_blocks(partition: Partition, scene: Scene, gaussians: Gaussians,
     return found
 
 
-def block_steps(city: City, steps: float, size: tuple[int, int], facts: SceneFacts
-                ) -> dict[str, Any]:
+def block_steps(city: City, steps: float, size: tuple[int, int], facts: SceneFacts) -> dict[str, Any]:
     """The options, by name, of a block that takes this number of steps.
 
     `size` : (width, height) of its smallest training image; `facts` : of the whole."""
     schedule = schedule_of(city.options.schedule)
     shrunk = dataclasses.replace(city.options, iterations=max(1, round(steps)), eval_every=0)
     shrunk = dataclasses.replace(shrunk, **schedule.options_of_block(shrunk, size, facts))
-    return {field.name: getattr(shrunk, field.name) for field in dataclasses.fields(shrunk)
-            if field.name not in ("init", "coarse")}
+    return {
+        field.name: getattr(shrunk, field.name)
+        for field in dataclasses.fields(shrunk)
+        if field.name not in ("init", "coarse")
+    }
 
 
 def requested_of(city: CityFolder, key: str = REQUESTED) -> dict[str, Any]:
@@ -199,21 +224,26 @@ def requested_of(city: CityFolder, key: str = REQUESTED) -> dict[str, Any]:
     with the key JOINT those of its joint training. Empty where there are none."""
     recorded = city.read_partition().get(key) or {}
     if not isinstance(recorded, dict):
-        raise InputError(f"{city.path / PARTITION}: damaged ({key} is "
-                         f"{str(recorded)[:20]!r}); remove it, and make it with `clsplat partition "
-                         f"{city.path}`")
+        raise InputError(
+            f"{city.path / PARTITION}: damaged ({key} is "
+            f"{str(recorded)[:20]!r}); remove it, and make it with `clsplat partition "
+            f"{city.path}`"
+        )
     return recorded
 
 
 def _check_same(city: CityFolder, options: PartitionOptions) -> None:
     """InputError where the existing blocks were cut with other options."""
     for name, old, new in differences({**plain(options), **requested_of(city)}, options):
-        raise InputError(f"{city.path}: was cut with {name.replace('_', '-')} {old}, not {new}; "
-                         "remove its partition.json and blocks/, or choose another --output")
+        raise InputError(
+            f"{city.path}: was cut with {name.replace('_', '-')} {old}, not {new}; "
+            "remove its partition.json and blocks/, or choose another --output"
+        )
 
 
-def drop_changes(device: Device, gaussians: Gaussians, scene: Scene,
-                 tests: Iterable[tuple[int, NDArray[np.bool_]]]) -> Iterator[float]:
+def drop_changes(
+    device: Device, gaussians: Gaussians, scene: Scene, tests: Iterable[tuple[int, NDArray[np.bool_]]]
+) -> Iterator[float]:
     """1 - SSIM between renders of a view with all gaussians and with some; a `DropTest`.
 
     It is that of the training loss. The device compares both renders with the full one in 8 bits,
@@ -228,8 +258,7 @@ def drop_changes(device: Device, gaussians: Gaussians, scene: Scene,
     def render(index: int, rows: Rows) -> Array:
         """real[3, H, W]: the image of a view."""
         camera = scene.views[index].camera
-        return renderer.render(rows, renderer.pack(camera), camera.width, camera.height,
-                               gaussians.sh_degree).image
+        return renderer.render(rows, renderer.pack(camera), camera.width, camera.height, gaussians.sh_degree).image
 
     # by the number of the array that tells what is kept, which stays in memory with it, and is then
     # no other's
@@ -242,8 +271,7 @@ def drop_changes(device: Device, gaussians: Gaussians, scene: Scene,
             if id(keep) not in logits:
                 if len(logits) == MOST_KEPT:
                     logits.clear()
-                logits[id(keep)] = keep, device.upload(
-                    np.where(keep, gaussians.opacity_logits, np.float32(INVISIBLE)))
+                logits[id(keep)] = keep, device.upload(np.where(keep, gaussians.opacity_logits, np.float32(INVISIBLE)))
             without = {**rows, "opacity_logits": logits[id(keep)][1]}
             yield itself - _ssim(render(index, without), whole)
 

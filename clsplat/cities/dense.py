@@ -27,10 +27,10 @@ def find_dense_gaussians(city: City, progress: SilentProgress | None = None) -> 
     prepared = prepare(city.pinhole, city.options)
     if prepared.options.init != "dense":
         return
-    gaussians = first_gaussians(city.device, prepared, progress or SilentProgress(),
-                                enter=False).gaussians
-    write_ply(city.folder.dense, gaussians.with_sh_degree(0).scaled(prepared.scene.unit),
-              city.scene.offset, sphere=True)
+    gaussians = first_gaussians(city.device, prepared, progress or SilentProgress(), enter=False).gaussians
+    write_ply(
+        city.folder.dense, gaussians.with_sh_degree(0).scaled(prepared.scene.unit), city.scene.offset, sphere=True
+    )
 
 
 @dataclass(frozen=True)
@@ -38,20 +38,25 @@ class DenseJob(Job):
     """The search for the dense points of a city that has begun; returns the time at which it began,
     and the seconds that it took."""
 
-    def run(self, device: Device, progress: SilentProgress | None = None,
-            stopping: Callable[[], bool] = lambda: False) -> tuple[float, float]:
+    def run(
+        self, device: Device, progress: SilentProgress | None = None, stopping: Callable[[], bool] = lambda: False
+    ) -> tuple[float, float]:
         """As `Job.run`; nothing is saved where it is stopped."""
         began = time.time()
-        find_dense_gaussians(City.open(CityFolder(self.folder), device=device),
-                             progress or _Stopping(stopping))
+        find_dense_gaussians(City.open(CityFolder(self.folder), device=device), progress or _Stopping(stopping))
         return began, time.time() - began
 
 
 def search_of(city: City) -> DenseJob:
     """The search for the dense points of a city, whose photos it finds without distortion."""
     city.pinhole  # noqa: B018  (two processes must not write the same photos)
-    return DenseJob("dense points", city.folder.path.resolve(), str(city.options.device),
-                    str(city.options.form), done=city.folder.dense)
+    return DenseJob(
+        "dense points",
+        city.folder.path.resolve(),
+        str(city.options.device),
+        str(city.options.form),
+        done=city.folder.dense,
+    )
 
 
 class _Stopping(SilentProgress):

@@ -58,8 +58,7 @@ def exchange_steps(steps: int, count: int) -> list[int]:
     These are multiples of LOG_EVERY, when Adam has brought all rows up to the last step; `count` is
     at most `most_exchanges(steps)`.
     """
-    return [LOG_EVERY * round(steps * (1 + number / count) / 2 / LOG_EVERY)
-            for number in range(count)]
+    return [LOG_EVERY * round(steps * (1 + number / count) / 2 / LOG_EVERY) for number in range(count)]
 
 
 def most_exchanges(steps: int) -> int:
@@ -86,8 +85,7 @@ class BlockRun(RunFolder):
     none : no rows of each kind, by name as in a checkpoint.
     """
 
-    def __init__(self, block: BlockFolder, own: BlockScene, number: int = 0,
-                 begins: Saved | None = None) -> None:
+    def __init__(self, block: BlockFolder, own: BlockScene, number: int = 0, begins: Saved | None = None) -> None:
         super().__init__(block.run)
         self.block, self.own, self.number, self._begins = block, own, number, begins
         arrays = begins[0] if begins else {POSITIONS: np.empty((0, 3))}
@@ -108,14 +106,12 @@ class BlockRun(RunFolder):
         """Whether a checkpoint after so many steps is that at the exchange."""
         return self.number > 0 and iteration >= self.block.exchanges[self.number - 1]
 
-    def saved_rows(self, iteration: int, positions: Callable[[], NDArray[np.floating]]
-                   ) -> NDArray[np.integer] | None:
+    def saved_rows(self, iteration: int, positions: Callable[[], NDArray[np.floating]]) -> NDArray[np.integer] | None:
         """As in `RunFolder`: at the exchange those that the block owns."""
         if not self._exchanges(iteration):
             return None
         scene, region = self.own.scene.normalised(), self.own.region
-        owned = np.flatnonzero(in_parts(
-            lambda some: region.owns(world_of(scene, some)), positions()))
+        owned = np.flatnonzero(in_parts(lambda some: region.owns(world_of(scene, some)), positions()))
         self.owned = owned if len(owned) else np.zeros(1, int)  # a training begins with some
         return self.owned
 
@@ -125,32 +121,48 @@ class BlockRun(RunFolder):
             super().save_checkpoint(arrays, state)
             return
         scene, record = self.own.scene.normalised(), self.block.read()
-        kept = {name: values for name, values in arrays.items()
-                if name not in REPLACED and not name.startswith(f"{Average.name}.")}
+        kept = {
+            name: values
+            for name, values in arrays.items()
+            if name not in REPLACED and not name.startswith(f"{Average.name}.")
+        }
         # a disk takes 1 GB/s of what all blocks write; a short file is noticed, see `_owned`
         with replacing(self.block.exchanged(self.number), synced=False) as file:
-            write_npz(file, {**kept, STATE: state_array(with_format({
-                TRAINING: state, "unit": scene.unit, "offset": scene.offset.tolist(),
-                CITY: record[CITY], START: self.block.start()}))})
+            write_npz(
+                file,
+                {
+                    **kept,
+                    STATE: state_array(
+                        with_format(
+                            {
+                                TRAINING: state,
+                                "unit": scene.unit,
+                                "offset": scene.offset.tolist(),
+                                CITY: record[CITY],
+                                START: self.block.start(),
+                            }
+                        )
+                    ),
+                },
+            )
         self.none = _none_of(kept)
         self.remove_checkpoint()
 
-    def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = ()
-                   ) -> None:
+    def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = ()) -> None:
         """As in `RunFolder`, without the surroundings: they are others', and twice as many."""
         region, place = self.own.region, np.asarray(offset)
-        reached = in_parts(lambda some: region.reaches(some.astype(np.float64) + place),
-                           gaussians.positions)
-        super().save_model(selected(gaussians, reached) if reached.any() else gaussians, offset,
-                           comments)
+        reached = in_parts(lambda some: region.reaches(some.astype(np.float64) + place), gaussians.positions)
+        super().save_model(selected(gaussians, reached) if reached.any() else gaussians, offset, comments)
 
 
 def other_blocks(block: BlockFolder) -> list[BlockFolder]:
     """The blocks with which a block exchanges gaussians; InputError outside its city's folder."""
     city = CityFolder(block.path.absolute().parents[1])
     if not city.has_record:
-        raise InputError(f"{block.path}: exchanges gaussians with the other blocks of its city; "
-                         "train it in the city's folder, or with --alone")
+        raise InputError(
+            f"{block.path}: exchanges gaussians with the other blocks of its city; "
+            "train it in the city's folder, or with --alone"
+        )
     return [city.block(number) for number in block.others]
 
 
@@ -166,8 +178,7 @@ def lacking_blocks(others: Iterable[BlockFolder], number: int) -> list[str]:
 def remove_passed(blocks: Sequence[BlockFolder]) -> None:
     """Remove the files of exchanges that no block of a city needs any more; the last one of each
     block stays, for one that is trained again."""
-    needed = min((block.last_exchange for block in blocks
-                  if not RunFolder(block.run).has_model), default=0)
+    needed = min((block.last_exchange for block in blocks if not RunFolder(block.run).has_model), default=0)
     for block in blocks:
         for number in block.exchanges_there()[:-1]:
             if number < needed:
@@ -179,12 +190,14 @@ def owned_at(block: BlockFolder, number: int) -> Saved:
     arrays, frame = _owned(block, number, block.read())
     state, count = frame[TRAINING], len(arrays[POSITIONS])
     # which are frozen the exchange finds
-    return {**arrays, "frozen.rows": np.zeros(count, np.uint32),
-            "adam.last_step": np.full(count, state["iteration"], np.uint32)}, state
+    return {
+        **arrays,
+        "frozen.rows": np.zeros(count, np.uint32),
+        "adam.last_step": np.full(count, state["iteration"], np.uint32),
+    }, state
 
 
-def exchange(training: Training, run: BlockRun, others: Sequence[BlockFolder],
-             options: SceneOptions) -> None:
+def exchange(training: Training, run: BlockRun, others: Sequence[BlockFolder], options: SceneOptions) -> None:
     """Put what other blocks own in place of the margin and the surroundings of a block, whose
     training has come to an exchange. Gaussians of the margin bring the moments of their owner.
 
@@ -203,16 +216,15 @@ def exchange(training: Training, run: BlockRun, others: Sequence[BlockFolder],
     training.session.step.replace_others(run.owned, *by_kind.values())
 
 
-def _beyond(device: Device, run: BlockRun, others: Sequence[BlockFolder], options: SceneOptions
-            ) -> Arrays:
-    """What a block holds and does not own, by name as in a checkpoint; arguments as for `exchange`.
-    """
+def _beyond(device: Device, run: BlockRun, others: Sequence[BlockFolder], options: SceneOptions) -> Arrays:
+    """What a block holds and does not own, by name as in a checkpoint; arguments as for `exchange`."""
     own, record = run.own, run.block.read()
     scene = own.scene.reduced(options.downscale, options.max_resolution).normalised()
     if others:
         return _of_others(device, run.none, others, run.number, record, scene, own.region)
-    start = read_ply(run.block.initial, scene.offset).scaled(1 / scene.unit).with_sh_degree(
-        record["options"]["sh_degree"])
+    start = (
+        read_ply(run.block.initial, scene.offset).scaled(1 / scene.unit).with_sh_degree(record["options"]["sh_degree"])
+    )
     beyond = ~own.region.owns(world_of(scene, start.positions))
     rows = _zeros(run.none, int(beyond.sum()))
     for name, values in start.rows.items():
@@ -220,30 +232,39 @@ def _beyond(device: Device, run: BlockRun, others: Sequence[BlockFolder], option
     return rows
 
 
-def _of_others(device: Device, none: Arrays, others: Sequence[BlockFolder], number: int,
-               record: dict[str, Any], scene: Scene, region: Region) -> Arrays:
+def _of_others(
+    device: Device,
+    none: Arrays,
+    others: Sequence[BlockFolder],
+    number: int,
+    record: dict[str, Any],
+    scene: Scene,
+    region: Region,
+) -> Arrays:
     """What a block holds of others, in the frame of its scene; `none` : no rows of each kind."""
+
     def places(other: BlockFolder) -> Arrays:
         return _in_frame_of(scene, *_owned(other, number, record, (POSITIONS, SCALES)))
 
     def take(other: BlockFolder, kind: str, of_other: NDArray[np.integer], begin: int) -> None:
         found, frame = _owned(other, number, record, [kind], of_other)
         for name, values in _in_frame_of(scene, found, frame).items():
-            rows[name][begin:begin + len(of_other)] = values
+            rows[name][begin : begin + len(of_other)] = values
 
     with ThreadPoolExecutor(READ_TOGETHER) as threads:
         there = list(threads.map(places, others))
         before = np.cumsum([0, *(len(each[SCALES]) for each in there)])
-        positions, scales = (np.concatenate([each.pop(name) for each in there])
-                             for name in (POSITIONS, SCALES))
+        positions, scales = (np.concatenate([each.pop(name) for each in there]) for name in (POSITIONS, SCALES))
         chosen = choose_gaussians(device, positions, scales, scene, region, scene.views)
         rows = _zeros(none, len(chosen.indices))
         ends = np.searchsorted(chosen.indices, before).tolist()
-        jobs = [(other, kind, chosen.indices[begin:end] - skipped, begin)
-                for other, skipped, begin, end in zip(others, before, ends, ends[1:])
-                # none is trained where none is reached
-                for kind in (BY_GAUSSIAN if chosen.reached[begin:end].any() else BY_GAUSSIAN[:1])
-                if end > begin]
+        jobs = [
+            (other, kind, chosen.indices[begin:end] - skipped, begin)
+            for other, skipped, begin, end in zip(others, before, ends, ends[1:])
+            # none is trained where none is reached
+            for kind in (BY_GAUSSIAN if chosen.reached[begin:end].any() else BY_GAUSSIAN[:1])
+            if end > begin
+        ]
         for _ in threads.map(lambda job: take(*job), jobs):
             pass  # an error is raised here
     rows[SCALES][:] = chosen.log_scales  # of which some are thinned
@@ -252,8 +273,7 @@ def _of_others(device: Device, none: Arrays, others: Sequence[BlockFolder], numb
 
 def _zeros(none: Arrays, count: int) -> Arrays:
     """Arrays with so many rows."""
-    return {name: np.zeros((count, *values.shape[1:]), values.dtype)
-            for name, values in none.items()}
+    return {name: np.zeros((count, *values.shape[1:]), values.dtype) for name, values in none.items()}
 
 
 def _none_of(arrays: Arrays) -> Arrays:
@@ -261,8 +281,13 @@ def _none_of(arrays: Arrays) -> Arrays:
     return {name: values[:0].copy() for name, values in arrays.items() if _is_by_gaussian(name)}
 
 
-def _owned(block: BlockFolder, number: int, record: dict[str, Any], wanted: Collection[str] = (),
-           rows: NDArray[np.integer] | None = None) -> tuple[Arrays, dict[str, Any]]:
+def _owned(
+    block: BlockFolder,
+    number: int,
+    record: dict[str, Any],
+    wanted: Collection[str] = (),
+    rows: NDArray[np.integer] | None = None,
+) -> tuple[Arrays, dict[str, Any]]:
     """What a block owned at an exchange, as arrays of a checkpoint, and the unit and the offset of
     its frame with the state of its training; InputError for a file that is damaged, or of another
     city or block.
@@ -270,24 +295,27 @@ def _owned(block: BlockFolder, number: int, record: dict[str, Any], wanted: Coll
     `record` : of the block that reads it; `wanted` : kinds or names of the arrays that it reads,
     besides statistics; none: all that there are; `rows` : of them, see `read_rows`; None: all."""
     # a block that is trained again finds others that have come farther
-    path = block.exchanged(min((there for there in block.exchanges_there() if there >= number),
-                               default=number))
+    path = block.exchanged(min((there for there in block.exchanges_there() if there >= number), default=number))
     cure = f"remove {path.parent}, and train that block again"
     with reading(path, "what a block owned at an exchange", cure):
+
         def by_gaussian(name: str) -> bool:
             return name in (*STATISTICS, *wanted) or name.partition(".")[0] in wanted
 
         if rows is None:
             arrays = read_npz(path, lambda name: not wanted or name == STATE or by_gaussian(name))
         else:
-            arrays = {**read_npz(path, lambda name: name == STATE),
-                      **read_rows(path, by_gaussian, rows)}
+            arrays = {**read_npz(path, lambda name: name == STATE), **read_rows(path, by_gaussian, rows)}
         frame = state_of(path, arrays.pop(STATE))
-        check_arrays(arrays, record["options"]["sh_degree"],
-                     [kind for kind in BY_GAUSSIAN if kind in wanted or not wanted])
-        if not (frame["unit"] > 0 and np.shape(frame["offset"]) == (3,)
-                and frame[TRAINING]["iteration"] > 0
-                and set(wanted) - {*BY_GAUSSIAN} <= set(arrays)):
+        check_arrays(
+            arrays, record["options"]["sh_degree"], [kind for kind in BY_GAUSSIAN if kind in wanted or not wanted]
+        )
+        if not (
+            frame["unit"] > 0
+            and np.shape(frame["offset"]) == (3,)
+            and frame[TRAINING]["iteration"] > 0
+            and set(wanted) - {*BY_GAUSSIAN} <= set(arrays)
+        ):
             raise ValueError("its frame is none, or it lacks places")
     if (frame.get(CITY), frame.get(START)) != (record[CITY], block.start()):
         raise InputError(f"{path}: of another city, block or partition than {block.path}; {cure}")
@@ -303,10 +331,9 @@ def _in_frame_of(scene: Scene, owned: Arrays, frame: dict[str, Any]) -> Arrays:
             return (offset + frame["unit"] * values.astype(float) - scene.offset) / scene.unit
         if name == SCALES:
             return values + np.log(factor)
-        return values * factor**LENGTHS[name] if name in LENGTHS else values
+        return values * factor ** LENGTHS[name] if name in LENGTHS else values
 
-    return {name: moved(name, values).astype(values.dtype, copy=False)
-            for name, values in owned.items()}
+    return {name: moved(name, values).astype(values.dtype, copy=False) for name, values in owned.items()}
 
 
 def _is_by_gaussian(name: str) -> bool:

@@ -49,8 +49,9 @@ class Job:
         """Whether the job needs not be run."""
         return self.done is not None and self.done.exists()
 
-    def run(self, device: Device, progress: SilentProgress | None = None,
-            stopping: Callable[[], bool] = lambda: False) -> Any:
+    def run(
+        self, device: Device, progress: SilentProgress | None = None, stopping: Callable[[], bool] = lambda: False
+    ) -> Any:
         """Do the work; the result is pickled. Once `stopping` returns true, save the state and
         raise Interrupted."""
         raise NotImplementedError

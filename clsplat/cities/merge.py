@@ -109,11 +109,14 @@ class Merged:
         if not lacking:
             return
         named = ", ".join(f"{share.block:03d} {share.state}" for share in lacking)
-        cure = next((share.note for share in lacking if share.state in NEVER_FILLED), (
-            f"see `clsplat block {self.path}/blocks/{lacking[0].block:03d}`, give `clsplat city` "
-            "again, or fill them from the coarse model with --fill"))
-        raise InputError(f"{self.path}: {len(lacking)} of {len(self.shares)} blocks cannot be "
-                         f"merged: {named}; {cure}")
+        cure = next(
+            (share.note for share in lacking if share.state in NEVER_FILLED),
+            (
+                f"see `clsplat block {self.path}/blocks/{lacking[0].block:03d}`, give `clsplat city` "
+                "again, or fill them from the coarse model with --fill"
+            ),
+        )
+        raise InputError(f"{self.path}: {len(lacking)} of {len(self.shares)} blocks cannot be merged: {named}; {cure}")
 
     @property
     def count(self) -> int:
@@ -122,12 +125,12 @@ class Merged:
 
     def record(self) -> dict[str, Any]:
         """A dict for JSON."""
-        return {"blocks": [asdict(share) for share in self.shares], "dropped": self.dropped,
-                "gaussians": self.count}
+        return {"blocks": [asdict(share) for share in self.shares], "dropped": self.dropped, "gaussians": self.count}
 
 
-def merge(city: CityFolder, scene: Scene, fill: bool = False,
-          keep: Callable[[Gaussians], object] | None = None) -> Merged:
+def merge(
+    city: CityFolder, scene: Scene, fill: bool = False, keep: Callable[[Gaussians], object] | None = None
+) -> Merged:
     """Merge the finished blocks of a city; `Merged.check` says whether the model has holes.
 
     Parameters
@@ -145,15 +148,16 @@ def merge(city: CityFolder, scene: Scene, fill: bool = False,
     for folder in city.blocks():
         number = folder.read()["number"]
         if folder.path != city.block(number).path or not 0 <= number < len(partition.regions):
-            raise InputError(f"{folder.path}: says that it is block {number} of "
-                             f"{len(partition.regions)}; two partitions are mixed here: remove the "
-                             "folders of the other one")
+            raise InputError(
+                f"{folder.path}: says that it is block {number} of "
+                f"{len(partition.regions)}; two partitions are mixed here: remove the "
+                "folders of the other one"
+            )
     owner = partition.owner(world_of(scene, scene.points))
     points = np.bincount(owner[owner >= 0], minlength=len(partition.regions))
     pieces: list[Gaussians] = []
     shares, coarse = [], None
-    blocks = ((city.block(number), number, partition, scene)
-              for number in range(len(partition.regions)))
+    blocks = ((city.block(number), number, partition, scene) for number in range(len(partition.regions)))
     together = 1 if keep else READ_TOGETHER
     found = called_ahead(_block, blocks, together, together)
     keep = keep or pieces.append
@@ -163,8 +167,7 @@ def merge(city: CityFolder, scene: Scene, fill: bool = False,
             coarse = coarse or RunFolder(city.coarse).load_model(scene.offset)
             piece = cropped(coarse, partition, number, scene.offset)
             state, note = "coarse", f"{state}: {note}"
-        shares.append(Share(number, state, piece.count if piece else 0, trained, len(views),
-                            int(points[number]), note))
+        shares.append(Share(number, state, piece.count if piece else 0, trained, len(views), int(points[number]), note))
         if piece:
             keep(piece)
         del piece  # else it is in memory beside the next one
@@ -172,8 +175,7 @@ def merge(city: CityFolder, scene: Scene, fill: bool = False,
     return Merged(joined(pieces), tuple(shares), dropped, city.path)
 
 
-def cropped(gaussians: Gaussians, partition: Partition, number: int,
-            offset: NDArray[np.float64]) -> Gaussians:
+def cropped(gaussians: Gaussians, partition: Partition, number: int, offset: NDArray[np.float64]) -> Gaussians:
     """The gaussians that block `number` owns; world = their coordinates + `offset` [3]."""
     kept = partition.owner(gaussians.positions.astype(np.float64) + offset) == number
     return Gaussians({f.name: gaussians.rows[f.name][kept] for f in LEARNED}, gaussians.sh_degree)
@@ -186,14 +188,21 @@ def joined(pieces: list[Gaussians]) -> Gaussians:
     """
     degree = max((piece.sh_degree for piece in pieces), default=0)
     pieces = [piece.with_sh_degree(degree) for piece in pieces]
-    return Gaussians({
-        field.name: np.concatenate([piece.rows.pop(field.name) for piece in pieces]
-                                   or [np.empty((0, *field.row_shape(degree)), np.float32)])
-        for field in LEARNED}, degree)
+    return Gaussians(
+        {
+            field.name: np.concatenate(
+                [piece.rows.pop(field.name) for piece in pieces]
+                or [np.empty((0, *field.row_shape(degree)), np.float32)]
+            )
+            for field in LEARNED
+        },
+        degree,
+    )
 
 
-def _block(folder: BlockFolder, number: int, partition: Partition, scene: Scene
-           ) -> tuple[str, int, Gaussians | None, str]:
+def _block(
+    folder: BlockFolder, number: int, partition: Partition, scene: Scene
+) -> tuple[str, int, Gaussians | None, str]:
     """The state of a block, its number of trained gaussians, those of its cell, and a note."""
     if not folder.is_there:
         return "missing", 0, None, "it was never written"
@@ -220,8 +229,7 @@ def reference_file(against: Path | None, tree: bool) -> Path | None:
     if against is None:
         return None
     if tree:
-        raise InputError("--against: has no effect with --tree, which measures no seams; leave one "
-                         "of them out")
+        raise InputError("--against: has no effect with --tree, which measures no seams; leave one of them out")
     path = RunFolder(against).model_path if against.is_dir() else against
     read_ply(path)
     return path
@@ -240,14 +248,15 @@ def merged_city(city: City, fill: bool = False, progress: SilentProgress | None 
     try:
         merged = train_jointly(city, merged, progress)
     except OutOfDeviceMemory:
-        log.warning("%s: there is no joint training, as the whole model does not fit the device",
-                    run.path)
+        log.warning("%s: there is no joint training, as the whole model does not fit the device", run.path)
         shutil.rmtree(city.folder.joint, ignore_errors=True)
     (run.path / TREE).unlink(missing_ok=True)
     _note_merge(city, merged)
-    run.save_model(merged.gaussians, scene.offset, (
-        f"merged of {len(merged.shares)} blocks",
-        *placement_comments(scene.up, scene.georeference)))
+    run.save_model(
+        merged.gaussians,
+        scene.offset,
+        (f"merged of {len(merged.shares)} blocks", *placement_comments(scene.up, scene.georeference)),
+    )
     return merged
 
 
@@ -274,19 +283,31 @@ def _note_merge(city: City, merged: Merged) -> None:
     coarse, trained = RunFolder(folder.coarse), RunFolder(folder.joint)
     joint = trained.has_model
     blocks = [RunFolder(block.run) for block in folder.blocks()]
-    run.write_options({**dataclasses.asdict(city.options),
-                       **trained_on(scene, city.options.init, city.device),
-                       "blocks": len(merged.shares)})
+    run.write_options(
+        {
+            **dataclasses.asdict(city.options),
+            **trained_on(scene, city.options.init, city.device),
+            "blocks": len(merged.shares),
+        }
+    )
     write_placement(run.path, scene, first_view=True)
     run.rewind(-1)
-    run.log({"event": "merge", **_cost([coarse, *blocks, *[trained] * joint]), "level": 1.0,
-             "joint_steps": _cost([trained] * joint)["iteration"], **merged.record()})
+    run.log(
+        {
+            "event": "merge",
+            **_cost([coarse, *blocks, *[trained] * joint]),
+            "level": 1.0,
+            "joint_steps": _cost([trained] * joint)["iteration"],
+            **merged.record(),
+        }
+    )
     if responses := read_exposures((trained if joint else coarse).path):
         write_exposures(run.path, responses)
 
 
-def evaluate_city(city: City, merged: Merged, against: Path | None = None
-                  ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
+def evaluate_city(
+    city: City, merged: Merged, against: Path | None = None
+) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
     """Score the merged model on the held-out views, measure its seams, and write the report.
 
     `against` : the PLY file of the reference for seams; None: that of the coarse model. Returns the
@@ -303,21 +324,32 @@ def evaluate_city(city: City, merged: Merged, against: Path | None = None
         model = run.opened(city.device, scene, merged.gaussians)
         if test:
             scores = evaluate_run(run, city.device, False, scene, METRICS, model=model)
-            run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()
-                                                         if key not in ("per_view", "pictures")}})
+            run.folder.log(
+                {
+                    "event": "eval",
+                    **spent,
+                    **{key: value for key, value in scores.items() if key not in ("per_view", "pictures")},
+                }
+            )
         partition = folder.partition(scene)
         if len(merged.shares) > 1:
             reference = read_ply(against or RunFolder(folder.coarse).model_path, scene.offset)
-            seams = find_seams(partition, scene, test or train, model, opened(
-                city.device, reference.without_spheres(), scene, options))
-            run.folder.log({"event": "seams", **spent, "seam_db": seams["seam_db"],
-                            "worst_seam_db": seams["worst_seam_db"], "borders": seams["borders"]})
+            seams = find_seams(
+                partition, scene, test or train, model, opened(city.device, reference.without_spheres(), scene, options)
+            )
+            run.folder.log(
+                {
+                    "event": "seams",
+                    **spent,
+                    "seam_db": seams["seam_db"],
+                    "worst_seam_db": seams["worst_seam_db"],
+                    "borders": seams["borders"],
+                }
+            )
     if seams:
         with replacing(folder.picture) as file:
-            write_map(file, partition, whole, [share.gaussians for share in merged.shares],
-                      seams["borders"])
-    write_report(run.folder, scores["pictures"] if scores else training_pictures(run, city.device),
-                 whole)
+            write_map(file, partition, whole, [share.gaussians for share in merged.shares], seams["borders"])
+    write_report(run.folder, scores["pictures"] if scores else training_pictures(run, city.device), whole)
     return scores, seams
 
 
@@ -350,17 +382,18 @@ def train_jointly(city: City, merged: Merged, progress: SilentProgress | None = 
         if together.exposure == "on":
             parts.append(PhotoResponses(read_exposures(folder.coarse)))
         with run.locked():
-            training_of(dataclasses.replace(city.pinhole, notes=()), together, city.device, run,
-                        progress, parts=parts).take()
+            training_of(
+                dataclasses.replace(city.pinhole, notes=()), together, city.device, run, progress, parts=parts
+            ).take()
     gaussians = run.load_model(scene.offset)
     owner = folder.partition(scene).owner(world_of(scene, gaussians.positions))
     order = np.argsort(owner, kind="stable")
     counts = np.bincount(owner, minlength=len(merged.shares))
     return dataclasses.replace(
-        merged, gaussians=Gaussians({name: rows[order] for name, rows in gaussians.rows.items()},
-                                    gaussians.sh_degree),
-        shares=tuple(dataclasses.replace(share, gaussians=int(counts[share.block]))
-                     for share in merged.shares))
+        merged,
+        gaussians=Gaussians({name: rows[order] for name, rows in gaussians.rows.items()}, gaussians.sh_degree),
+        shares=tuple(dataclasses.replace(share, gaussians=int(counts[share.block])) for share in merged.shares),
+    )
 
 
 def begin_with(city: City, merged: Gaussians) -> None:
@@ -373,12 +406,14 @@ def begin_with(city: City, merged: Gaussians) -> None:
     rng = np.random.default_rng([city.options.seed, 0])
     parts = [merged, dense] if dense else [merged]
     chosen = [rng.random(part.count) < 1 / len(parts) for part in parts]
-    positions, constant = (np.concatenate([part.rows[name][which]
-                                           for part, which in zip(parts, chosen)])
-                           for name in ("positions", "sh_constant"))
+    positions, constant = (
+        np.concatenate([part.rows[name][which] for part, which in zip(parts, chosen)])
+        for name in ("positions", "sh_constant")
+    )
     new = folder.joint_start.with_suffix(".new.ply")
-    write_ply(new, Gaussians.from_points(positions, to_bytes(255 * colours_of(constant)),
-                                         sh_degree=0), city.scene.offset)
+    write_ply(
+        new, Gaussians.from_points(positions, to_bytes(255 * colours_of(constant)), sh_degree=0), city.scene.offset
+    )
     if not (folder.joint_start.is_file() and filecmp.cmp(new, folder.joint_start, shallow=False)):
         shutil.rmtree(folder.joint, ignore_errors=True)
     os.replace(new, folder.joint_start)
@@ -389,8 +424,8 @@ def joint_options(city: City, given: Any, count: int) -> TrainOptions:
 
     A limit of gaussians is one of each block, so the merged model of `count` may have more; it does
     not grow then. The same views are held out as of one run."""
-    joint = resolve(checked_values(str(city.folder.path / PARTITION), given),
-                    {"init": str(city.folder.joint_start)})
+    joint = resolve(checked_values(str(city.folder.path / PARTITION), given), {"init": str(city.folder.joint_start)})
     most = joint.max_gaussians and max(joint.max_gaussians, count)
-    return dataclasses.replace(joint, max_gaussians=most, test_every=city.options.test_every,
-                               test_offset=city.options.test_offset)
+    return dataclasses.replace(
+        joint, max_gaussians=most, test_every=city.options.test_every, test_offset=city.options.test_offset
+    )

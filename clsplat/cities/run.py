@@ -64,10 +64,20 @@ class Finished:
     seams: dict[str, Any] | None = None
 
 
-def city(scene: Scene, options: TrainOptions, output: Path, *,
-         partition: Mapping[str, Any] | None = None, workers: int | None = None,
-         devices: Sequence[str] = (), scheduler: str = "", fill: bool = False,
-         against: Path | None = None, tree: bool = False, shown: Shown | None = None) -> Finished:
+def city(
+    scene: Scene,
+    options: TrainOptions,
+    output: Path,
+    *,
+    partition: Mapping[str, Any] | None = None,
+    workers: int | None = None,
+    devices: Sequence[str] = (),
+    scheduler: str = "",
+    fill: bool = False,
+    against: Path | None = None,
+    tree: bool = False,
+    shown: Shown | None = None,
+) -> Finished:
     """Train a large scene in blocks, and merge them; see `clsplat.city` for the other arguments.
 
     The stages are a coarse run, partition, training of the blocks, merge, joint training and
@@ -87,16 +97,18 @@ def city(scene: Scene, options: TrainOptions, output: Path, *,
     Interrupted : it was stopped; the state is saved.
     """
     if options.coarse or not (is_auto(options.init) or options.init in STARTS):
-        raise InputError("--init, --coarse: a city begins with its own coarse run; leave them out, "
-                         f"or give --init {' or '.join(STARTS)}")
+        raise InputError(
+            "--init, --coarse: a city begins with its own coarse run; leave them out, "
+            f"or give --init {' or '.join(STARTS)}"
+        )
     shown, folder, reference = shown or Shown(), CityFolder(output), reference_file(against, tree)
     if workers is None and scheduler:
         workers = 1
     Workers(workers or 1)  # refuses a wrong number before the device is opened
-    whole = City(folder, scene, options, choose_device(
-        devices[0] if devices else options.device, form=options.form))
-    cutting = chosen_partition(partition or {}, whole, workers,
-                               workers if scheduler and workers else max(1, len(devices)), tree)
+    whole = City(folder, scene, options, choose_device(devices[0] if devices else options.device, form=options.form))
+    cutting = chosen_partition(
+        partition or {}, whole, workers, workers if scheduler and workers else max(1, len(devices)), tree
+    )
     if scheduler and not RunFolder(folder.coarse).has_model:
         connected(scheduler).close()
     if not folder.has_record:
@@ -122,8 +134,7 @@ def city(scene: Scene, options: TrainOptions, output: Path, *,
         return merge_city(whole, fill, reference, tree, shown=shown)
 
 
-def cut_city(folder: CityFolder, partition: Mapping[str, Any], scene_path: Path | None = None
-             ) -> str:
+def cut_city(folder: CityFolder, partition: Mapping[str, Any], scene_path: Path | None = None) -> str:
     """Cut the scene of a city with a finished coarse run into blocks; the table of the blocks.
 
     `partition` : fields of PartitionOptions; `scene_path` : where the scene is now, if it was
@@ -137,14 +148,14 @@ def cut_city(folder: CityFolder, partition: Mapping[str, Any], scene_path: Path 
         return cut_into_blocks(city, cutting).text()
 
 
-def merge_city(city: City, fill: bool = False, reference: Path | None = None, tree: bool = False,
-               shown: Shown | None = None) -> Finished:
+def merge_city(
+    city: City, fill: bool = False, reference: Path | None = None, tree: bool = False, shown: Shown | None = None
+) -> Finished:
     """Merge the finished blocks of a city, train the whole jointly, and evaluate it; arguments as
     for `city`, `reference` : as `reference_file` returns it."""
     if tree:
         return Finished(merge_city_tree(city, fill))
-    with _stopped_at(city.folder), (shown or Shown()).stage("joint training") as progress, timed(
-            city.folder, "merge"):
+    with _stopped_at(city.folder), (shown or Shown()).stage("joint training") as progress, timed(city.folder, "merge"):
         merged = merged_city(city, fill, progress)
     return Finished(merged, True, *evaluate_city(city, merged, reference))
 
@@ -155,12 +166,12 @@ def _stopped_at(folder: CityFolder) -> Iterator[None]:
     try:
         yield
     except Interrupted:
-        raise Interrupted(f"{folder.path}: stopped, the state is saved; the same command continues"
-                          ) from None
+        raise Interrupted(f"{folder.path}: stopped, the state is saved; the same command continues") from None
 
 
-def chosen_partition(given: Mapping[str, Any], city: City, workers: int | None = 1,
-                     devices: int = 1, tree: bool = False) -> PartitionOptions:
+def chosen_partition(
+    given: Mapping[str, Any], city: City, workers: int | None = 1, devices: int = 1, tree: bool = False
+) -> PartitionOptions:
     """The PartitionOptions with given fields, and others chosen.
 
     By default the blocks of the workers that share a device fit it together, and a city that is cut
@@ -170,22 +181,31 @@ def chosen_partition(given: Mapping[str, Any], city: City, workers: int | None =
     expected, fit = expected_gaussians(facts, options), gaussians_that_fit(city.device, options)
     number = workers or devices
     recorded = requested_of(city.folder) if city.folder.has_partition else {}
-    chosen = PartitionOptions(**{
-        **{name: recorded[name] for name in STEPS if name in recorded}, **given,
-        "expected": expected,
-        "block_gaussians": given.get("block_gaussians") or max(
-            LEAST_GAUSSIANS, int(fit / max(1, number / devices))),
-        "least_blocks": min(number, max(1, expected // LEAST_GAUSSIANS)), "workers": number})
+    chosen = PartitionOptions(
+        **{
+            **{name: recorded[name] for name in STEPS if name in recorded},
+            **given,
+            "expected": expected,
+            "block_gaussians": given.get("block_gaussians")
+            or max(LEAST_GAUSSIANS, int(fit / max(1, number / devices))),
+            "least_blocks": min(number, max(1, expected // LEAST_GAUSSIANS)),
+            "workers": number,
+        }
+    )
     if workers is None and not city.device.is_cpu:
         # a GPU works for one block while others read, write and exchange
-        sharing = min(MOST_SHARING, math.ceil(chosen.blocks / devices),
-                      (os.cpu_count() or 1) // CORES_SHARING,
-                      int(fit / UNCERTAIN / (chosen.trained / chosen.blocks)))
+        sharing = min(
+            MOST_SHARING,
+            math.ceil(chosen.blocks / devices),
+            (os.cpu_count() or 1) // CORES_SHARING,
+            int(fit / UNCERTAIN / (chosen.trained / chosen.blocks)),
+        )
         rounds = math.ceil(chosen.blocks / (devices * max(1, sharing)))  # with fewer at a time
         chosen = replace(chosen, workers=devices * math.ceil(chosen.blocks / (devices * rounds)))
     chosen = replace(chosen, sharing=math.ceil(chosen.workers / devices))
-    return chosen.decided(not (recorded or tree) and chosen.blocks > 1 and expected <= fit
-                          and trains_jointly(facts, photos, options))
+    return chosen.decided(
+        not (recorded or tree) and chosen.blocks > 1 and expected <= fit and trains_jointly(facts, photos, options)
+    )
 
 
 def facts_of_whole(scene: Scene, options: SceneOptions) -> tuple[SceneFacts, int]:
@@ -215,8 +235,14 @@ def gaussians_that_fit(device: Device, options: ScheduledOptions) -> int:
     return max(1, int(MODEL_SHARE * memory / each))
 
 
-def scale_table(prepared: PreparedScene, options: ScheduledOptions, forecast: Forecast,
-                device: Device, photos: Iterable[int], workers: int = 1) -> Table:
+def scale_table(
+    prepared: PreparedScene,
+    options: ScheduledOptions,
+    forecast: Forecast,
+    device: Device,
+    photos: Iterable[int],
+    workers: int = 1,
+) -> Table:
     """The cost of scenes with more photos like those of a prepared one, a row for each number.
 
     Everything grows with the number of photos, but a single run takes the steps that its schedule
@@ -236,21 +262,47 @@ def scale_table(prepared: PreparedScene, options: ScheduledOptions, forecast: Fo
         coarse = 0.0 if whole else COARSE_COST * forecast.seconds * share
         longer = share * visits
         if whole and is_auto(options.iterations):
-            longer = (worthwhile_steps(options, facts, round(share * len(views)))[0]
-                      / worthwhile_steps(options, facts, len(views))[0])
+            longer = (
+                worthwhile_steps(options, facts, round(share * len(views)))[0]
+                / worthwhile_steps(options, facts, len(views))[0]
+            )
         trained = forecast.seconds * longer
         elapsed = coarse + trained / blocks * -(-blocks // workers)
-        rows.append((f"{count:,}", f"{blocks:,}", f"{count * times / blocks:,.0f}",
-                     f"{forecast.steps * longer / blocks:,.0f}", f"{gaussians:,}",
-                     f"{gaussians * PLY_BYTES / GIB:,.1f}",
-                     f"{3 * area * count / GIB:,.1f}",
-                     f"{(trained + coarse) / 3600:,.3g}", f"{elapsed / 3600:,.3g}"))
-    head = ("photos", "blocks", "photos a block", "steps a block", "gaussians at most",
-            "model, GiB", "pixels, GiB", "device hours", f"hours on {workers}")
-    return Table("At scale", head, rows, range(9), (
-        f"For photos like these, on {device.name}, in as few blocks as fit it and at "
-        f"least one a device. Several take {BLOCK_STEPS:g} times the steps of one run together, "
-        "after a coarse run on one device.",))
+        rows.append(
+            (
+                f"{count:,}",
+                f"{blocks:,}",
+                f"{count * times / blocks:,.0f}",
+                f"{forecast.steps * longer / blocks:,.0f}",
+                f"{gaussians:,}",
+                f"{gaussians * PLY_BYTES / GIB:,.1f}",
+                f"{3 * area * count / GIB:,.1f}",
+                f"{(trained + coarse) / 3600:,.3g}",
+                f"{elapsed / 3600:,.3g}",
+            )
+        )
+    head = (
+        "photos",
+        "blocks",
+        "photos a block",
+        "steps a block",
+        "gaussians at most",
+        "model, GiB",
+        "pixels, GiB",
+        "device hours",
+        f"hours on {workers}",
+    )
+    return Table(
+        "At scale",
+        head,
+        rows,
+        range(9),
+        (
+            f"For photos like these, on {device.name}, in as few blocks as fit it and at "
+            f"least one a device. Several take {BLOCK_STEPS:g} times the steps of one run together, "
+            "after a coarse run on one device.",
+        ),
+    )
 
 
 def trains_jointly(facts: SceneFacts, photos: int, options: ScheduledOptions) -> bool:
@@ -260,13 +312,19 @@ def trains_jointly(facts: SceneFacts, photos: int, options: ScheduledOptions) ->
     steps of their own (docs/evidence/cities.md). Other schedules than sig are trained as they were
     published, and a time budget is one of each block."""
     steps, most, _ = worthwhile_steps(options, facts, photos)
-    return ("sig" in schedule_of(options.schedule).parts and not options.time_budget
-            and steps == most and JOINT_STEPS * steps >= LEAST_JOINT_STEPS)
+    return (
+        "sig" in schedule_of(options.schedule).parts
+        and not options.time_budget
+        and steps == most
+        and JOINT_STEPS * steps >= LEAST_JOINT_STEPS
+    )
 
 
 def one_block_note(options: PartitionOptions, scene: Path) -> str:
     """That a scene which fits the device in one block needs no city; empty for others."""
     if options.grid or options.blocks > 1:
         return ""
-    return (f"this device holds the whole model in one block: `clsplat train {scene}` trains it in "
-            "one stage, which is quicker and as good; --grid cuts it all the same")
+    return (
+        f"this device holds the whole model in one block: `clsplat train {scene}` trains it in "
+        "one stage, which is quicker and as good; --grid cuts it all the same"
+    )

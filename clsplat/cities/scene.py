@@ -51,8 +51,7 @@ class BlockScene:
         return cls(scene, region, visits, read_exposures(block.path))
 
     def parts(self, exposures: bool) -> list[Part]:
-        """What makes the training of `scene` that of the block; `exposures`: whether it has them.
-        """
+        """What makes the training of `scene` that of the block; `exposures`: whether it has them."""
         parts: list[Part] = [FrozenRows(self.region), SampleWeights(self.visits)]
         if exposures and self.responses:
             # blocks that learned their own would not agree
@@ -75,14 +74,11 @@ class FrozenRows(Stage):
     def __init__(self, region: Region) -> None:
         self.region = region
 
-    def facts(self, facts: SceneFacts, scene: Scene, views: Sequence[View],
-              gaussians: Gaussians | None) -> SceneFacts:
-        """As `Part.facts`: the pixels that show what the block reaches, and what it trains there.
-        """
+    def facts(self, facts: SceneFacts, scene: Scene, views: Sequence[View], gaussians: Gaussians | None) -> SceneFacts:
+        """As `Part.facts`: the pixels that show what the block reaches, and what it trains there."""
         if gaussians is None:
             return replace(facts, pixels=seen_pixels(scene, self.region, views))
-        return replace(facts, count=int(trainable(
-            scene, self.region, gaussians.positions, gaussians.log_scales).sum()))
+        return replace(facts, count=int(trainable(scene, self.region, gaussians.positions, gaussians.log_scales).sum()))
 
     def begin(self, session: Session) -> None:
         """As `Part.begin`."""
@@ -94,10 +90,9 @@ class FrozenRows(Stage):
         before, device = model.frozen, model.device
         frozen = device.zeros(model.count, np.uint32) if before is None or growth else before
         if before is not None and growth:
-            source = device.upload(growth.source[:growth.unchanged])
+            source = device.upload(growth.source[: growth.unchanged])
             gather(device, before, source, frozen)
-        note_outside(device, self._scene, self.region, model.rows["positions"],
-                     model.rows["log_scales"], frozen)
+        note_outside(device, self._scene, self.region, model.rows["positions"], model.rows["log_scales"], frozen)
         model.frozen = frozen
         self._model = model
 

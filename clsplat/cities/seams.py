@@ -43,8 +43,11 @@ class Border:
 
     def pixels(self, coordinates: NDArray[np.float64]) -> NDArray[np.int64]:
         """[K]: the indices of those of a picture's coordinates [N, 3] that are in the strip."""
-        if not len(coordinates) or (coordinates.max(axis=0) < self.low).any() or (
-                coordinates.min(axis=0) >= self.high).any():
+        if (
+            not len(coordinates)
+            or (coordinates.max(axis=0) < self.low).any()
+            or (coordinates.min(axis=0) >= self.high).any()
+        ):
             return np.empty(0, np.int64)  # most borders of a city are not in the picture
         return np.flatnonzero(((coordinates >= self.low) & (coordinates < self.high)).all(axis=1))
 
@@ -57,16 +60,18 @@ def find_borders(partition: Partition) -> list[Border]:
     for axis in range(3):
         for first, second in np.argwhere(high[:, None, axis] == low[None, :, axis]).tolist():
             begin, end = np.maximum(low[first], low[second]), np.minimum(high[first], high[second])
-            thickness = min(region.side[axis] * (region.margin or STRIP)
-                            for region in (regions[first], regions[second]))
+            thickness = min(
+                region.side[axis] * (region.margin or STRIP) for region in (regions[first], regions[second])
+            )
             begin[axis], end[axis] = high[first, axis] + np.array([-thickness, thickness])
             if (begin < end).all():
                 borders.append(Border((first, second), begin, end))
     return borders
 
 
-def find_seams(partition: Partition, scene: Scene, views: Sequence[View], merged: Model,
-               reference: Model) -> dict[str, Any]:
+def find_seams(
+    partition: Partition, scene: Scene, views: Sequence[View], merged: Model, reference: Model
+) -> dict[str, Any]:
     """How visible the seams between blocks are. All models are in the scene's frame.
 
     Parameters
@@ -90,28 +95,26 @@ def find_seams(partition: Partition, scene: Scene, views: Sequence[View], merged
         for view in views:
             yield view, *_picture(merged, view.camera), render_view(*reference, view.camera)
 
-    def inspect(view: View, image: Image, transmittance: Image, depth: Image, other: Image
-                ) -> list[tuple[int, NDArray[np.float64]]]:
+    def inspect(
+        view: View, image: Image, transmittance: Image, depth: Image, other: Image
+    ) -> list[tuple[int, NDArray[np.float64]]]:
         """(border, errors) for each border that the view shows, and for all."""
         place = _places(view.camera, transmittance, depth)
         known, valid = np.isfinite(place).all(axis=-1), read_valid(view)
         if valid is not None and not (known := known & valid).any():
             return []
         coordinates = space.to(place[known] + scene.offset)
-        near = [(number, inside) for number, border in enumerate(borders)
-                if len(inside := border.pixels(coordinates))]
+        near = [(number, inside) for number, border in enumerate(borders) if len(inside := border.pixels(coordinates))]
         if not near:
             return []
         photo = photo_of(view)
-        wrong = [((fit_colour(shown, photo, valid) - photo) ** 2).mean(axis=-1)[known]
-                 for shown in (image, other)]
+        wrong = [((fit_colour(shown, photo, valid) - photo) ** 2).mean(axis=-1)[known] for shown in (image, other)]
         values = np.stack([np.ones_like(wrong[0]), *wrong], axis=-1)
         away = np.ones(len(values), bool)
         for _, inside in near:
             away[inside] = False
         near.append((len(borders), np.flatnonzero(~away)))
-        return [(number, np.stack([values[inside].sum(axis=0), values[away].sum(axis=0)]))
-                for number, inside in near]
+        return [(number, np.stack([values[inside].sum(axis=0), values[away].sum(axis=0)])) for number, inside in near]
 
     most = scored_at_once(views)
     for found in called_ahead(inspect, rendered(), most, most):
@@ -120,8 +123,12 @@ def find_seams(partition: Partition, scene: Scene, views: Sequence[View], merged
     scores = [_scores(of_border) for of_border in errors]
     records = [{"blocks": list(border.blocks), **each} for border, each in zip(borders, scores)]
     seams = [record["seam_db"] for record in records if record["seam_db"] is not None]
-    return {"borders": records, "views": len(views), "worst_seam_db": max(seams, default=None),
-            "seam_db": scores[-1]["seam_db"]}
+    return {
+        "borders": records,
+        "views": len(views),
+        "worst_seam_db": max(seams, default=None),
+        "seam_db": scores[-1]["seam_db"],
+    }
 
 
 def _picture(model: Model, camera: Camera) -> tuple[Image, Image, Image]:
@@ -137,8 +144,14 @@ def _places(camera: Camera, transmittance: Image, depth: Image) -> NDArray[np.fl
     covered = 1 - transmittance.astype(np.float64)
     depth = np.where(covered > 1 - OPAQUE, depth, np.nan)
     line, column = np.indices(depth.shape) + 0.5
-    along = np.stack([(column - camera.centre[0]) / camera.focal[0],
-                      (line - camera.centre[1]) / camera.focal[1], np.ones_like(line)], axis=-1)
+    along = np.stack(
+        [
+            (column - camera.centre[0]) / camera.focal[0],
+            (line - camera.centre[1]) / camera.focal[1],
+            np.ones_like(line),
+        ],
+        axis=-1,
+    )
     place = along * (depth / np.maximum(covered, OPAQUE))[..., None]
     place -= camera.translation
     return place @ camera.rotation
@@ -155,9 +168,14 @@ def _scores(errors: ArrayLike) -> dict[str, Any]:
     weights = views[:, 0, 0]
     near, near_reference, far, far_reference = (
         float(np.average(_psnr(views[:, where, model] / views[:, where, 0]), weights=weights))
-        for where in (0, 1) for model in (1, 2))
-    return {"pixels": pixels, **dict(zip(names, (near, near_reference, far, far_reference))),
-            "seam_db": (far - far_reference) - (near - near_reference)}
+        for where in (0, 1)
+        for model in (1, 2)
+    )
+    return {
+        "pixels": pixels,
+        **dict(zip(names, (near, near_reference, far, far_reference))),
+        "seam_db": (far - far_reference) - (near - near_reference),
+    }
 
 
 def _psnr(square: ArrayLike) -> Any:

@@ -79,8 +79,9 @@ class Workers(AbstractContextManager["Workers"]):
 
     def __init__(self, number: int = 1, scheduler: str = "", devices: Sequence[str] = ()) -> None:
         if not 1 <= number <= MOST_WORKERS:
-            raise InputError(f"--workers {number}: expects 1 to {MOST_WORKERS}, as many as this "
-                             "machine has free devices or cores")
+            raise InputError(
+                f"--workers {number}: expects 1 to {MOST_WORKERS}, as many as this machine has free devices or cores"
+            )
         self.number, self.scheduler, self.devices = number, scheduler, tuple(devices)
         self._pool: Cluster | _Processes | None = None
 
@@ -92,9 +93,13 @@ class Workers(AbstractContextManager["Workers"]):
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def run(self, jobs: Sequence[Job], here: Callable[[Any], Any],
-            began: Callable[[Any], object] = lambda job: None,
-            ended: Callable[[Outcome], object] = lambda outcome: None) -> list[Outcome]:
+    def run(
+        self,
+        jobs: Sequence[Job],
+        here: Callable[[Any], Any],
+        began: Callable[[Any], object] = lambda job: None,
+        ended: Callable[[Outcome], object] = lambda outcome: None,
+    ) -> list[Outcome]:
         """Run jobs, the first ones first, until each is finished or has failed.
 
         A job that was finished before gets an Outcome without tries, which is not reported.
@@ -119,8 +124,7 @@ class Workers(AbstractContextManager["Workers"]):
 
         def awaited(job: Job) -> str:
             """The first job that must be finished before this one and is not; "" for none."""
-            return next((name for name in job.after
-                         if name not in outcomes or not outcomes[name].ok), "")
+            return next((name for name in job.after if name not in outcomes or not outcomes[name].ok), "")
 
         for job in waiting:
             make_folder(job.folder)
@@ -128,7 +132,7 @@ class Workers(AbstractContextManager["Workers"]):
         try:
             while running or not all(map(awaited, waiting)):
                 ready = [job for job in waiting if not awaited(job)]
-                for job in ready[:max(0, pool.slots() - len(running))]:
+                for job in ready[: max(0, pool.slots() - len(running))]:
                     waiting.remove(job)
                     tries[job.name] += 1
                     begun.setdefault(job.name, time.monotonic())
@@ -138,13 +142,13 @@ class Workers(AbstractContextManager["Workers"]):
                 for future in done:
                     job = running.pop(future)
                     value, error, worker = _settled(pool, future)
-                    final = isinstance(error, ClsplatError) and not isinstance(
-                        error, (Unfit, Interrupted, LockTaken))
+                    final = isinstance(error, ClsplatError) and not isinstance(error, (Unfit, Interrupted, LockTaken))
                     if error and not final and tries[job.name] < MOST_TRIES:
                         waiting.append(job)
                         continue
-                    outcomes[job.name] = Outcome(job, value, error, time.monotonic()
-                                                 - begun[job.name], tries[job.name], worker)
+                    outcomes[job.name] = Outcome(
+                        job, value, error, time.monotonic() - begun[job.name], tries[job.name], worker
+                    )
                     ended(outcomes[job.name])
                 if not done:
                     time.sleep(POLL_SECONDS)
@@ -152,9 +156,11 @@ class Workers(AbstractContextManager["Workers"]):
             self.close()
             raise Interrupted(
                 f"stopped, {len(outcomes)} of {len(jobs)} jobs finished; the running ones save "
-                "their state, and the same command continues them") from None
-        return [outcomes.get(job.name) or Outcome(job, error=InputError(
-            f"it waits for {awaited(job)}")) for job in jobs]
+                "their state, and the same command continues them"
+            ) from None
+        return [
+            outcomes.get(job.name) or Outcome(job, error=InputError(f"it waits for {awaited(job)}")) for job in jobs
+        ]
 
     def begin(self, job: Job) -> Future[Any] | None:
         """Begin a job beside what this process does on the first device, see `end`; None: there is
@@ -183,8 +189,7 @@ class Workers(AbstractContextManager["Workers"]):
 
     def _opened(self, here: Callable[[Any], Any]) -> _Pool:
         if self.several and not self._pool:
-            self._pool = (Cluster(self.scheduler) if self.scheduler else
-                          _Processes(self.number, self.devices))
+            self._pool = Cluster(self.scheduler) if self.scheduler else _Processes(self.number, self.devices)
         return self._pool or _InProcess(here)
 
     def close(self) -> None:
@@ -255,8 +260,7 @@ class _Processes:
     def __init__(self, number: int, devices: Sequence[str] = ()) -> None:
         self._context = multiprocessing.get_context("spawn")
         self._stop = self._context.Event()
-        self.all = [_Process(devices[-1 - place % len(devices)] if devices else "")
-                    for place in range(number)]
+        self.all = [_Process(devices[-1 - place % len(devices)] if devices else "") for place in range(number)]
 
     def slots(self) -> int:
         return len(self.all)
@@ -265,14 +269,14 @@ class _Processes:
         """Run a job in a free process, best in that of the latest job in its folder; in a new one
         where the latest job failed: no job is begun by a process of which something went wrong."""
         free = [each for each in self.all if not each.future or each.future.done()]
-        process = next((each for each in free if each.folder == job.folder and not each.failed),
-                       free[0])
+        process = next((each for each in free if each.folder == job.folder and not each.failed), free[0])
         process.folder = job.folder
         if process.executor and process.failed:
             process.executor.shutdown()
             process.executor = None
         process.executor = process.executor or ProcessPoolExecutor(
-            1, self._context, initializer=_begin, initargs=(process.device, self._stop))
+            1, self._context, initializer=_begin, initargs=(process.device, self._stop)
+        )
         try:
             process.future = process.executor.submit(_work, job)
         except BrokenProcessPool as error:  # it was killed while it had no job
@@ -316,21 +320,18 @@ def _begin(device: str, stop: Any) -> None:
 def _work(job: Job) -> Any:
     """Run a job in a process of this machine; what it prints goes to its log."""
     with open(job.folder / LOG, "ab") as output:
-        output.write(f"--- {time.strftime('%Y-%m-%d %H:%M:%S')} on {socket.gethostname()}: "
-                     f"{job.name}\n".encode())
+        output.write(f"--- {time.strftime('%Y-%m-%d %H:%M:%S')} on {socket.gethostname()}: {job.name}\n".encode())
         for number in (1, 2):
             os.dup2(output.fileno(), number)
     stop = getattr(multiprocessing.current_process(), STOP)
     try:
         with _busy:
-            return None if job.is_done else job.run(device_here(job.device, job.form),
-                                                    stopping=stop.is_set)
+            return None if job.is_done else job.run(device_here(job.device, job.form), stopping=stop.is_set)
     except ClsplatError:
         raise
     except Exception as error:  # whose class may not be there, or not be pickled
         traceback.print_exc()
-        raise RuntimeError(f"{type(error).__name__}: {line_of(error)} (see {job.folder / LOG})"
-                           ) from None
+        raise RuntimeError(f"{type(error).__name__}: {line_of(error)} (see {job.folder / LOG})") from None
 
 
 # `slots` jobs may run at a time; `submit` returns the future of one, and `result` what that job

@@ -20,34 +20,59 @@ if TYPE_CHECKING:
     from clsplat.io.runs.city import CityFolder
 
 BLOCKS: dict[str, Any] = {"cls": flags.SectionedOption, "section": "Blocks"}
-TREE_HELP = ("Merge into a tree of levels of detail, CITY/point_cloud.tree, which `render`, `film` "
-             "and `view` read in parts, in place of point_cloud.ply: one block at a time is in "
-             "memory, and nothing is evaluated.")
+TREE_HELP = (
+    "Merge into a tree of levels of detail, CITY/point_cloud.tree, which `render`, `film` "
+    "and `view` read in parts, in place of point_cloud.ply: one block at a time is in "
+    "memory, and nothing is evaluated."
+)
 
 
 @click.command(cls=flags.TrainingCommand)
 @click.argument("scene", type=flags.PATH)
 @flags.training_flags
 @flags.flags_of(PartitionOptions)
-@click.option("-o", "--output", type=flags.PATH, **BLOCKS,
-              help="Folder of the city; default: SCENE.city.")
-@click.option("--workers", type=click.IntRange(min=1), **BLOCKS, help="Number of blocks that are "
-              "trained at a time on this machine; --grid auto makes at least as many blocks. "
-              "Default: one for each device, or as many as share a GPU well: up to four, with four "
-              "cores for each, and blocks that fit its memory together. With --scheduler: for how "
-              "many workers to cut.")
-@click.option("--scheduler", default="", **BLOCKS, help="Address of a Dask scheduler, such as "
-              "tcp://10.0.0.1:8786, whose workers train the blocks.")
-@click.option("--fill", is_flag=True, **BLOCKS, help="Where a block fails, use the coarse model's "
-              "gaussians; the report says so.")
-@click.option("--against", type=flags.PATH, **BLOCKS, help="A run of the whole "
-              "scene, or its PLY, as the reference for seams, in place of the coarse model.")
+@click.option("-o", "--output", type=flags.PATH, **BLOCKS, help="Folder of the city; default: SCENE.city.")
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    **BLOCKS,
+    help="Number of blocks that are "
+    "trained at a time on this machine; --grid auto makes at least as many blocks. "
+    "Default: one for each device, or as many as share a GPU well: up to four, with four "
+    "cores for each, and blocks that fit its memory together. With --scheduler: for how "
+    "many workers to cut.",
+)
+@click.option(
+    "--scheduler",
+    default="",
+    **BLOCKS,
+    help="Address of a Dask scheduler, such as tcp://10.0.0.1:8786, whose workers train the blocks.",
+)
+@click.option(
+    "--fill", is_flag=True, **BLOCKS, help="Where a block fails, use the coarse model's gaussians; the report says so."
+)
+@click.option(
+    "--against",
+    type=flags.PATH,
+    **BLOCKS,
+    help="A run of the whole scene, or its PLY, as the reference for seams, in place of the coarse model.",
+)
 @click.option("--tree", is_flag=True, **BLOCKS, help=TREE_HELP)
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
 @click.pass_context
-def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int | None,
-         scheduler: str, fill: bool, against: Path | None, tree: bool, quiet: bool,
-         **_options: object) -> None:
+def city(
+    ctx: click.Context,
+    /,
+    scene: Path,
+    output: Path | None,
+    workers: int | None,
+    scheduler: str,
+    fill: bool,
+    against: Path | None,
+    tree: bool,
+    quiet: bool,
+    **_options: object,
+) -> None:
     """Train a large SCENE in blocks, and merge them.
 
     The stages are a coarse run, partition, training of the blocks, merge and evaluation. After any
@@ -58,14 +83,24 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int |
     from clsplat.io.runs.city import CityFolder
     from clsplat.io.scenes.read import read_scene
     from clsplat.options import resolve
+
     given = {**flags.config_options(ctx), **flags.given_options(ctx)}
     devices = _devices(given.pop("device", ""), workers, scheduler)
     options = resolve({}, {**given, **({"device": devices[0]} if devices else {})})
     data, folder = read_scene(scene, options.images), CityFolder(output or _beside(scene))
-    finished = train_city(data, options, folder.path, workers=workers, devices=devices,
-                          partition=flags.given_options(ctx, PartitionOptions), scheduler=scheduler,
-                          fill=fill, against=against, tree=tree,
-                          shown=_shown(quiet, options.stop_at))
+    finished = train_city(
+        data,
+        options,
+        folder.path,
+        workers=workers,
+        devices=devices,
+        partition=flags.given_options(ctx, PartitionOptions),
+        scheduler=scheduler,
+        fill=fill,
+        against=against,
+        tree=tree,
+        shown=_shown(quiet, options.stop_at),
+    )
     _print(folder, finished, against, quiet)
 
 
@@ -74,8 +109,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int |
 @flags.flags_of(PartitionOptions)
 @flags.moved_scene_flag
 @click.pass_context
-def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, **_options: object
-                      ) -> None:
+def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, **_options: object) -> None:
     """Cut the scene of CITY into blocks.
 
     Needs a finished coarse run in CITY/coarse. Writes partition.json, the map partition.png, and a
@@ -83,6 +117,7 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
     """
     from clsplat.cities.run import cut_city
     from clsplat.io.runs.city import CityFolder
+
     city = CityFolder(folder)
     click.echo(cut_city(city, flags.given_options(ctx, PartitionOptions), scene))
     click.echo(f"{city.picture}")
@@ -90,16 +125,18 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
 
 @click.command()
 @click.argument("folder", type=flags.PATH)
-@click.option("--device", envvar=flags.DEVICE,
-              help="As for `clsplat train`; default: that of the city.")
+@click.option("--device", envvar=flags.DEVICE, help="As for `clsplat train`; default: that of the city.")
 @click.option("--stop-at", type=click.IntRange(min=1), help="Stop after this step.")
-@click.option("--wait", type=flags.FiniteRange(0, 86400), default=0, show_default=True,
-              help="Seconds to wait for another process that trains this block.")
-@click.option("--alone", is_flag=True, help="Do without the exchanges with other blocks that are "
-              "left.")
+@click.option(
+    "--wait",
+    type=flags.FiniteRange(0, 86400),
+    default=0,
+    show_default=True,
+    help="Seconds to wait for another process that trains this block.",
+)
+@click.option("--alone", is_flag=True, help="Do without the exchanges with other blocks that are left.")
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
-def block(folder: Path, device: str | None, stop_at: int | None, wait: float, alone: bool,
-          quiet: bool) -> None:
+def block(folder: Path, device: str | None, stop_at: int | None, wait: float, alone: bool, quiet: bool) -> None:
     """Train the block of a city in FOLDER.
 
     FOLDER is a CITY/blocks/NNN; the run is written to run/ in it. Continues from the last
@@ -112,6 +149,7 @@ def block(folder: Path, device: str | None, stop_at: int | None, wait: float, al
     from clsplat.cities.block import block_options, train_block
     from clsplat.cli.progress import Progress
     from clsplat.io.runs.city import BlockFolder
+
     city_block = BlockFolder(folder)
     city_block.check()
     given: dict[str, Any] = {"device": device, "stop_at": stop_at}
@@ -121,24 +159,30 @@ def block(folder: Path, device: str | None, stop_at: int | None, wait: float, al
         with nullcontext() if quiet else Progress(last) as progress:
             state = train_block(city_block, None, progress, alone=alone, patience=wait, **changes)
     except Interrupted:
-        raise Interrupted(f"{folder}: stopped, its state is saved; the same command continues"
-                          ) from None
+        raise Interrupted(f"{folder}: stopped, its state is saved; the same command continues") from None
     if not quiet:
         click.echo(f"{city_block.run}: {state}")
 
 
 @click.command()
 @click.argument("folder", metavar="CITY", type=flags.PATH)
-@click.option("--fill", is_flag=True, help="Use the coarse model's gaussians where a block is "
-              "missing or unfinished; the report says so.")
-@click.option("--against", type=flags.PATH, help="A run of the whole scene, or its "
-              "PLY, as the reference for seams, in place of the coarse model.")
+@click.option(
+    "--fill",
+    is_flag=True,
+    help="Use the coarse model's gaussians where a block is missing or unfinished; the report says so.",
+)
+@click.option(
+    "--against",
+    type=flags.PATH,
+    help="A run of the whole scene, or its PLY, as the reference for seams, in place of the coarse model.",
+)
 @click.option("--tree", is_flag=True, help=TREE_HELP)
 @flags.device_flag
 @flags.moved_scene_flag
 @click.pass_context
-def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tree: bool,
-          device: str, scene: Path | None) -> None:
+def merge(
+    ctx: click.Context, folder: Path, fill: bool, against: Path | None, tree: bool, device: str, scene: Path | None
+) -> None:
     """Merge the finished blocks of CITY into one model.
 
     That may then be trained as a whole, and is evaluated on the held-out views. If blocks are
@@ -149,6 +193,7 @@ def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tr
     from clsplat.cities.run import merge_city
     from clsplat.io.runs.city import CityFolder
     from clsplat.io.runs.run import RunFolder
+
     city = CityFolder(folder)
     city.check_there()
     reference = reference_file(against, tree)
@@ -184,6 +229,7 @@ def _print(folder: CityFolder, finished: Finished, against: Path | None, quiet: 
     from clsplat.cli.evaluate import summary
     from clsplat.io.models.tree import TREE
     from clsplat.report.city import seam_table, share_table
+
     merged, evaluated = finished.merged, finished.evaluated
     if against and evaluated and not finished.seams:
         click.echo("--against: not used, since a single block has no seams", err=True)
@@ -216,9 +262,13 @@ def _devices(text: str, workers: int | None, scheduler: str) -> tuple[str, ...]:
     if not all(names):
         raise InputError(f"--device {text}: expects names separated by commas, such as 0,1")
     if len(names) > 1 and scheduler:
-        raise InputError(f"--device {text}: with --scheduler, CLSPLAT_DEVICE on each worker names "
-                         "its device; name one device here, for the coarse run")
+        raise InputError(
+            f"--device {text}: with --scheduler, CLSPLAT_DEVICE on each worker names "
+            "its device; name one device here, for the coarse run"
+        )
     if workers is not None and len(names) > max(1, workers):
-        raise InputError(f"--device {text}: names {len(names)} devices for --workers {workers}; "
-                         f"use --workers {len(names)}, or name fewer")
+        raise InputError(
+            f"--device {text}: names {len(names)} devices for --workers {workers}; "
+            f"use --workers {len(names)}, or name fewer"
+        )
     return names

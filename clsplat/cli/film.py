@@ -18,34 +18,55 @@ def _size(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.lower())
     width, height = map(int, match.groups()) if match else (0, 0)
     if not (0 < width <= LARGEST_SIDE and 0 < height <= LARGEST_SIDE):
-        raise ValueError("not a size; give width and height in pixels, at most "
-                         f"{LARGEST_SIDE}, such as 1280x720")
+        raise ValueError(f"not a size; give width and height in pixels, at most {LARGEST_SIDE}, such as 1280x720")
     return width, height
 
 
 @click.command()
 @click.argument("run", type=flags.PATH)
-@click.option("-o", "--output", required=True, type=flags.PATH,
-              help="A file .mp4, .mov or .mkv, or a folder for frames as PNG.")
-@click.option("--path", "route", default=AUTO, show_default=True, metavar="PATH",
-              help="auto: obliquely over a site whose photos look down, else as photos; photos: "
-              "along the photos; turntable: around the scene; or a JSON file with a camera path.")
-@click.option("--seconds", type=flags.FiniteRange(0.1, 36_000), default=20.0, show_default=True,
-              help="Length of the film.")
-@click.option("--fps", type=flags.FiniteRange(1, 240), default=30.0, show_default=True,
-              help="Frames a second.")
-@click.option("--size", type=flags.Parsed("WIDTHxHEIGHT", _size), default="1280x720",
-              show_default=True, help="Pixels of a frame.")
-@click.option("--fov", type=flags.FiniteRange(1, 170), help="Horizontal angle of view, degrees. "
-              "Default: that of the photos or of the camera path.")
+@click.option(
+    "-o", "--output", required=True, type=flags.PATH, help="A file .mp4, .mov or .mkv, or a folder for frames as PNG."
+)
+@click.option(
+    "--path",
+    "route",
+    default=AUTO,
+    show_default=True,
+    metavar="PATH",
+    help="auto: obliquely over a site whose photos look down, else as photos; photos: "
+    "along the photos; turntable: around the scene; or a JSON file with a camera path.",
+)
+@click.option(
+    "--seconds", type=flags.FiniteRange(0.1, 36_000), default=20.0, show_default=True, help="Length of the film."
+)
+@click.option("--fps", type=flags.FiniteRange(1, 240), default=30.0, show_default=True, help="Frames a second.")
+@click.option(
+    "--size", type=flags.Parsed("WIDTHxHEIGHT", _size), default="1280x720", show_default=True, help="Pixels of a frame."
+)
+@click.option(
+    "--fov",
+    type=flags.FiniteRange(1, 170),
+    help="Horizontal angle of view, degrees. Default: that of the photos or of the camera path.",
+)
 @flags.everything_flag
 @click.option("--overwrite", is_flag=True, help="Replace an existing film.")
 @flags.host_memory_flag
 @flags.moved_scene_flag
 @flags.device_flag
-def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: tuple[int, int],
-         fov: float | None, everything: bool, overwrite: bool, host_memory: int | None,
-         scene: Path | None, device: str) -> None:
+def film(
+    run: Path,
+    output: Path,
+    route: str,
+    seconds: float,
+    fps: float,
+    size: tuple[int, int],
+    fov: float | None,
+    everything: bool,
+    overwrite: bool,
+    host_memory: int | None,
+    scene: Path | None,
+    device: str,
+) -> None:
     """Draw a flight through RUN as a film."""
     from dataclasses import replace
     from functools import partial
@@ -57,13 +78,14 @@ def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: 
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run
+
     as_film = output.suffix.lower() in films.SUFFIXES
     if not as_film and output.suffix:
-        raise InputError(f"{output}: unknown suffix '{output.suffix}'; known: "
-                         f"{', '.join(films.SUFFIXES)}, or a folder for PNG files")
+        raise InputError(
+            f"{output}: unknown suffix '{output.suffix}'; known: {', '.join(films.SUFFIXES)}, or a folder for PNG files"
+        )
     if as_film and (size[0] % 2 or size[1] % 2):
-        raise InputError(f"--size {size[0]}x{size[1]}: a film needs even numbers; give such, or a "
-                         "folder for PNG files")
+        raise InputError(f"--size {size[0]}x{size[1]}: a film needs even numbers; give such, or a folder for PNG files")
     if as_film or films.frames_in(output):
         flags.check_free(output, overwrite)
     if as_film:

@@ -45,9 +45,16 @@ class SectionedCommand(click.Command):
         super().__init__(*args, **kwargs)
         self.others = sum(not getattr(param, "main", True) for param in self.params)
         if self.others:
-            self.params.append(click.Option(
-                ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=_help_all,
-                help="Show all options and exit."))
+            self.params.append(
+                click.Option(
+                    ["--help-all"],
+                    is_flag=True,
+                    is_eager=True,
+                    expose_value=False,
+                    callback=_help_all,
+                    help="Show all options and exit.",
+                )
+            )
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the sections."""
@@ -112,8 +119,7 @@ class FiniteRange(click.FloatRange):
         """The limits in the help, where click writes x<=None for none."""
         return "" if self.min is None and self.max is None else super()._describe_range()
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-                ) -> float:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Check and convert a value."""
         number: float = super().convert(value, param, ctx)
         if not math.isfinite(number):
@@ -127,8 +133,7 @@ class Value(click.ParamType):  # type: ignore[type-arg]  # generic only since cl
     def __init__(self, option: Option) -> None:
         self.option, self.choices = option, option.metadata["choices"]
         kind, count = declared.kind_of(option)
-        self.name = ("LIST" if count is None else
-                     option.metadata["separator"].join("NM") if count else NAMES[kind])
+        self.name = "LIST" if count is None else option.metadata["separator"].join("NM") if count else NAMES[kind]
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
         """The placeholder in the help."""
@@ -142,8 +147,9 @@ class Value(click.ParamType):  # type: ignore[type-arg]  # generic only since cl
         try:
             return declared.parsed(self.option, value)
         except ValueError:
-            raise InputError(f"{declared.flag_name(self.option.name)} {value}: expects "
-                             f"{declared.expected(self.option)}") from None
+            raise InputError(
+                f"{declared.flag_name(self.option.name)} {value}: expects {declared.expected(self.option)}"
+            ) from None
 
 
 def flags_of(kind: type, every: bool = False) -> Callable[[Command], Command]:
@@ -154,6 +160,7 @@ def flags_of(kind: type, every: bool = False) -> Callable[[Command], Command]:
     kind : dataclass of options.
     every : whether the other options become flags as well, for experiments.
     """
+
     def decorate(command: Command) -> Command:
         for option in reversed(options_of(kind)):
             if not (every or option.metadata["flag"]):
@@ -161,6 +168,7 @@ def flags_of(kind: type, every: bool = False) -> Callable[[Command], Command]:
             names, settings = _flag(option)
             command = click.option(*names, cls=SectionedOption, **settings)(command)
         return command
+
     return decorate
 
 
@@ -179,8 +187,9 @@ class TrainingCommand(SectionedCommand):
         except click.NoSuchOption as error:
             name = error.option_name.removeprefix("--").removeprefix("no-").replace("-", "_")
             if name in {option.name for option in options_of(TrainOptions)}:
-                raise InputError(f"{error.option_name}: is a key of the file of --config and no "
-                                 f"flag; write {name} = VALUE there") from None
+                raise InputError(
+                    f"{error.option_name}: is a key of the file of --config and no flag; write {name} = VALUE there"
+                ) from None
             raise
 
     def _read_named(self, ctx: click.Context, args: list[str]) -> None:
@@ -192,22 +201,30 @@ class TrainingCommand(SectionedCommand):
         named = f"{given.get('schedule', '')},{given.get('schedules', '')}".split(",")
         schedules = [name for name in named if name and name not in OURS and name in others()]
         config = from_toml(given["config"], *schedules) if given.get("config") else {}
-        kind = options_with(*schedules, config.get("schedule", TrainOptions.schedule),
-                            parts=config.get("add_parts", ()))
+        kind = options_with(
+            *schedules, config.get("schedule", TrainOptions.schedule), parts=config.get("add_parts", ())
+        )
         own = {option.name for option in options_of(TrainOptions)}
         ctx.meta[OPTIONS], ctx.meta[CONFIG] = kind, config
-        ctx.meta[OTHER_FLAGS] = [SectionedOption(names, **settings) for names, settings in (
-            _flag(option) for option in options_of(kind)
-            if option.metadata["flag"] and option.name not in own)]
+        ctx.meta[OTHER_FLAGS] = [
+            SectionedOption(names, **settings)
+            for names, settings in (
+                _flag(option) for option in options_of(kind) if option.metadata["flag"] and option.name not in own
+            )
+        ]
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the sections; --help-all ends with the keys that are no flags."""
         super().format_options(ctx, formatter)
         if SHOW_ALL in ctx.meta:
             with formatter.section("Other keys of the file of --config"):
-                formatter.write_dl([
-                    (option.name, f"{option.metadata['help']}  [default: {shown_default(option)}]")
-                    for option in options_of(TrainOptions) if not option.metadata["flag"]])
+                formatter.write_dl(
+                    [
+                        (option.name, f"{option.metadata['help']}  [default: {shown_default(option)}]")
+                        for option in options_of(TrainOptions)
+                        if not option.metadata["flag"]
+                    ]
+                )
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """The parameters of the command."""
@@ -216,48 +233,59 @@ class TrainingCommand(SectionedCommand):
 
 def training_flags(command: Command, every: bool = False) -> Command:
     """Add the flags of a training, and the file of its other options; `every` as for `flags_of`."""
-    config = click.option("--config", type=PATH, cls=SectionedOption,
-                          section="Run", help="TOML file of options; flags override it.")
+    config = click.option(
+        "--config", type=PATH, cls=SectionedOption, section="Run", help="TOML file of options; flags override it."
+    )
     return flags_of(TrainOptions, every)(config(command))
 
 
-device_flag = click.option("--device", default="auto", show_default=True,
-                           help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
-moved_scene_flag = click.option("--scene", type=PATH,
-                                help="Where the scene is now, if it was moved.")
-everything_flag = click.option("--everything", is_flag=True, help="Keep gaussians at places that "
-                               "fewer than two photos show, which a page and a film leave out.")
+device_flag = click.option(
+    "--device",
+    default="auto",
+    show_default=True,
+    help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.",
+)
+moved_scene_flag = click.option("--scene", type=PATH, help="Where the scene is now, if it was moved.")
+everything_flag = click.option(
+    "--everything",
+    is_flag=True,
+    help="Keep gaussians at places that fewer than two photos show, which a page and a film leave out.",
+)
 
 
 host_memory_flag = click.option(
-    "--host-memory", type=click.IntRange(16), metavar="MIB",
-    help="Host memory, MiB, for what is drawn of a city with a tree. Default: 1024.")
+    "--host-memory",
+    type=click.IntRange(16),
+    metavar="MIB",
+    help="Host memory, MiB, for what is drawn of a city with a tree. Default: 1024.",
+)
 
 
 def host_bytes(host_memory: int | None, model: Path) -> int:
     """--host-memory in bytes; InputError where it is given for a model that has no tree."""
     from clsplat.io.models.tree import TREE
     from clsplat.rendering.tree import HOST_BYTES
+
     if host_memory is None:
         return HOST_BYTES
     if not (model / TREE).is_file():
-        raise InputError(f"--host-memory: has no effect on {model}, which is no city with a tree; "
-                         "leave it out")
+        raise InputError(f"--host-memory: has no effect on {model}, which is no city with a tree; leave it out")
     return host_memory << 20
 
 
 def check_free(output: Path, overwrite: bool) -> None:
     """InputError if an output exists that must not be overwritten."""
     if output.exists() and not overwrite:
-        raise InputError(f"{output}: exists already; replace it with --overwrite, or choose "
-                         "another --output")
+        raise InputError(f"{output}: exists already; replace it with --overwrite, or choose another --output")
 
 
 def given_options(ctx: click.Context, kind: type | None = None) -> dict[str, Any]:
     """The options of a dataclass, by name, that the user gave as flags; None: of a training."""
-    return {option.name: ctx.params[option.name] for option in options_of(kind or ctx.meta[OPTIONS])
-            if option.name in ctx.params
-            and ctx.get_parameter_source(option.name) is not ParameterSource.DEFAULT}
+    return {
+        option.name: ctx.params[option.name]
+        for option in options_of(kind or ctx.meta[OPTIONS])
+        if option.name in ctx.params and ctx.get_parameter_source(option.name) is not ParameterSource.DEFAULT
+    }
 
 
 def config_options(ctx: click.Context) -> dict[str, Any]:
@@ -273,8 +301,7 @@ def _flag(option: Option) -> tuple[list[str], dict[str, Any]]:
     text = meta["help"]
     if re.split("[:,]", text)[0] not in (*meta["words"], *meta["choices"], default):  # not a value
         text = text[0].upper() + text[1:]
-    settings: dict[str, Any] = {"help": f"{text}.", "show_default": True,
-                                "default": shown_default(option)}
+    settings: dict[str, Any] = {"help": f"{text}.", "show_default": True, "default": shown_default(option)}
     if kind is bool:
         name = f"{name}/--no-{name[2:]}"
     elif count is None:  # one list, or several that are joined
@@ -291,5 +318,10 @@ def _flag(option: Option) -> tuple[list[str], dict[str, Any]]:
         return declared.check_flag(option, sum(value, ()) if count is None else value)
 
     names = [name, option.name] if meta["short"] is None else [meta["short"], name, option.name]
-    return names, {"section": meta["group"], "main": meta["main"], "callback": check,
-                   "envvar": DEVICE if option.name == "device" else None, **settings}
+    return names, {
+        "section": meta["group"],
+        "main": meta["main"],
+        "callback": check,
+        "envvar": DEVICE if option.name == "device" else None,
+        **settings,
+    }

@@ -51,24 +51,28 @@ class Reporting(click.Group):
         for command in commands:
             self.add_command(command)
 
-    def resolve_command(self, ctx: click.Context, args: list[str]
-                        ) -> tuple[str | None, click.Command | None, list[str]]:
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
         """The command that the arguments begin with, whose name may have two words."""
         name = " ".join(args[:2])
-        return ((name, self.commands[name], args[2:]) if name in self.commands else
-                super().resolve_command(ctx, args))
+        return (name, self.commands[name], args[2:]) if name in self.commands else super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the sections."""
         width = formatter.width - 6 - max(map(len, self.commands))
         for heading, names in self.sections.items():
             with formatter.section(heading):
-                formatter.write_dl(
-                    [(name, self.commands[name].get_short_help_str(width)) for name in names])
+                formatter.write_dl([(name, self.commands[name].get_short_help_str(width)) for name in names])
 
-    def main(self, args: Sequence[str] | None = None, prog_name: str | None = None,
-             complete_var: str | None = None, standalone_mode: bool = True, **extra: Any
-             ) -> NoReturn:
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        **extra: Any,
+    ) -> NoReturn:
         """Run a command and exit.
 
         The exit code is 0 if the command is done, 2 for an error that the user can cure, 1 for a
@@ -78,8 +82,7 @@ class Reporting(click.Group):
         arguments = list(sys.argv[1:] if args is None else args)
         with handled_interrupts() as interrupts:
             try:
-                result = super().main(arguments, prog_name, complete_var, standalone_mode=False,
-                                      **extra)
+                result = super().main(arguments, prog_name, complete_var, standalone_mode=False, **extra)
                 sys.stdout.flush()
                 code = result if isinstance(result, int) else 0
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (the outermost place)
@@ -110,8 +113,7 @@ def verdict(error: BaseException, signalled: int = 0) -> tuple[str, int]:
         return str(error), stopped
     if signalled or isinstance(error, (KeyboardInterrupt, click.Abort)):
         cause = error.__cause__ or error
-        where = f" {text}" if isinstance(cause, KeyboardInterrupt) and (
-            text := str(cause).strip()) else ""
+        where = f" {text}" if isinstance(cause, KeyboardInterrupt) and (text := str(cause).strip()) else ""
         return f"interrupted{where}: give the same command again", stopped
     if isinstance(error, click.UsageError):
         command = error.ctx.command_path if error.ctx else "clsplat"
@@ -125,10 +127,14 @@ def verdict(error: BaseException, signalled: int = 0) -> tuple[str, int]:
     if isinstance(error, OSError) and error.strerror:
         return f"error: {error.filename or 'the output'}: {error.strerror}; {CURE}", 2
     if isinstance(error, MemoryError):
-        return ("error: this machine does not have enough memory left; close other programs, or "
-                "use smaller images with --downscale or --max-resolution"), 2
-    return ("error: this is a bug in clsplat, or in the package of others that the lines above "
-            "name; please report it with these lines"), BUG
+        return (
+            "error: this machine does not have enough memory left; close other programs, or "
+            "use smaller images with --downscale or --max-resolution"
+        ), 2
+    return (
+        "error: this is a bug in clsplat, or in the package of others that the lines above "
+        "name; please report it with these lines"
+    ), BUG
 
 
 def say(text: str) -> None:
@@ -137,8 +143,7 @@ def say(text: str) -> None:
         click.echo(text, err=True)
 
 
-@click.group(cls=Reporting, invoke_without_command=True,
-             context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=Reporting, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="clsplat", message="%(prog)s %(version)s")
 @click.pass_context
 def main(ctx: click.Context) -> None:
@@ -161,6 +166,6 @@ main.add_section("Machine", devices, bench, tune)
 
 # `Reporting` finds the flag in the arguments; as an option it is in the help and allowed anywhere
 for _command in (main, *main.commands.values()):
-    _command.params.append(click.Option(
-        ["--traceback"], is_flag=True, expose_value=False,
-        help="Show where in the code an error arose."))
+    _command.params.append(
+        click.Option(["--traceback"], is_flag=True, expose_value=False, help="Show where in the code an error arose.")
+    )

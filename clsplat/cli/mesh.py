@@ -9,16 +9,19 @@ from clsplat.cli.flags import PATH, FiniteRange, check_free, device_flag, moved_
 
 @click.command()
 @click.argument("run", type=PATH)
-@click.option("-o", "--output", required=True, type=PATH,
-              help="File to write; its suffix selects the format: .glb, .ply or .obj.")
-@click.option("--voxel", type=FiniteRange(0, min_open=True),
-              help="Size of the finest detail, metres; of a scene without georeference scene "
-              "units. Default: the size of a pixel of the photos.")
+@click.option(
+    "-o", "--output", required=True, type=PATH, help="File to write; its suffix selects the format: .glb, .ply or .obj."
+)
+@click.option(
+    "--voxel",
+    type=FiniteRange(0, min_open=True),
+    help="Size of the finest detail, metres; of a scene without georeference scene "
+    "units. Default: the size of a pixel of the photos.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @moved_scene_flag
 @device_flag
-def mesh(run: Path, output: Path, voxel: float | None, overwrite: bool, scene: Path | None,
-         device: str) -> None:
+def mesh(run: Path, output: Path, voxel: float | None, overwrite: bool, scene: Path | None, device: str) -> None:
     """Write the surface of RUN as triangles with colours of vertices.
 
     Places that fewer than two views show, or of whose depth the model is unsure, are left out: the
@@ -31,6 +34,7 @@ def mesh(run: Path, output: Path, voxel: float | None, overwrite: bool, scene: P
     from clsplat.evaluation.run import Run
     from clsplat.io.models.mesh import check_suffix, write_mesh
     from clsplat.io.models.values import Notes
+
     check_suffix(output)
     check_free(output, overwrite)
     opened = Run.open(run)
@@ -43,7 +47,9 @@ def mesh(run: Path, output: Path, voxel: float | None, overwrite: bool, scene: P
         write_mesh(output, made, Notes((), opened.up, place))
     edges = open_edges(made)
     unit = "m" if place is not None else "scene units"
-    click.echo(f"{output}: {len(made.triangles):,} triangles, {len(made.vertices):,} vertices, "
-               f"voxels of {made.voxel:g} {unit}, "
-               f"{f'{edges:,} open edges' if edges else 'watertight'}, "
-               f"{place.crs if place is not None else 'no georeference'}")
+    click.echo(
+        f"{output}: {len(made.triangles):,} triangles, {len(made.vertices):,} vertices, "
+        f"voxels of {made.voxel:g} {unit}, "
+        f"{f'{edges:,} open edges' if edges else 'watertight'}, "
+        f"{place.crs if place is not None else 'no georeference'}"
+    )

@@ -10,11 +10,15 @@ from clsplat.cli.flags import PATH, FiniteRange
 @click.command()
 @click.argument("scene", type=PATH)
 @click.option("-o", "--output", required=True, type=PATH, help="The new folder.")
-@click.option("-r", "--downscale", type=FiniteRange(min=1), default=1.0, show_default=True,
-              help="Divide the width and height of the photos by this; with 1 their files are "
-              "copied.")
-@click.option("--images", default="", help="Folder of the photos, relative to SCENE; default: as "
-              "for `clsplat train`.")
+@click.option(
+    "-r",
+    "--downscale",
+    type=FiniteRange(min=1),
+    default=1.0,
+    show_default=True,
+    help="Divide the width and height of the photos by this; with 1 their files are copied.",
+)
+@click.option("--images", default="", help="Folder of the photos, relative to SCENE; default: as for `clsplat train`.")
 def pack(scene: Path, output: Path, downscale: float, images: str) -> None:
     """Copy SCENE of any format into a folder that has all it needs.
 
@@ -24,6 +28,7 @@ def pack(scene: Path, output: Path, downscale: float, images: str) -> None:
     from clsplat.io.folders import new_folder
     from clsplat.io.scenes.read import read_scene
     from clsplat.io.scenes.write import write_scene
+
     data = read_scene(scene, images)
     with new_folder(output) as folder:
         write_scene(folder, data, downscale, linked=False)

@@ -22,10 +22,18 @@ MOST_PHOTOS = 10**9
 
 @click.command(cls=TrainingCommand)
 @click.argument("scene", type=PATH)
-@click.option("--photos", default="", help="Also forecast scenes with these numbers of photos "
-              "like those of SCENE, such as 172,1000,100000.")
-@click.option("--workers", type=click.IntRange(1, MOST_PHOTOS), default=1, show_default=True,
-              help="With --photos: number of devices.")
+@click.option(
+    "--photos",
+    default="",
+    help="Also forecast scenes with these numbers of photos like those of SCENE, such as 172,1000,100000.",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1, MOST_PHOTOS),
+    default=1,
+    show_default=True,
+    help="With --photos: number of devices.",
+)
 @training_flags
 @click.pass_context
 def plan(ctx: click.Context, /, scene: Path, photos: str, workers: int, **_options: object) -> None:
@@ -42,6 +50,7 @@ def plan(ctx: click.Context, /, scene: Path, photos: str, workers: int, **_optio
     from clsplat.options import resolve
     from clsplat.training.photos import size_note
     from clsplat.training.start.prepare import prepare
+
     options = resolve(config_options(ctx), given_options(ctx))
     counts, progress = _numbers(photos), Progress()
     with progress:
@@ -50,8 +59,10 @@ def plan(ctx: click.Context, /, scene: Path, photos: str, workers: int, **_optio
         device = choose_device(options.device, form=options.form)
         progress.phase("planning: inspecting the photos")
         prepared = prepare(data, options, device)
-    click.echo(f"{data.name}: {len(prepared.train_views)} photos to train on, "
-               f"{len(prepared.test_views)} held out, {len(data.points):,} points; {device.name}")
+    click.echo(
+        f"{data.name}: {len(prepared.train_views)} photos to train on, "
+        f"{len(prepared.test_views)} held out, {len(data.points):,} points; {device.name}"
+    )
     if note := size_note(data.views, options):
         click.echo(f"  {note}")
     for name, reason in prepared.decisions.reasons.items():
@@ -63,6 +74,7 @@ def plan(ctx: click.Context, /, scene: Path, photos: str, workers: int, **_optio
     _line("time", _time(found))
     if counts:
         from clsplat.cities.run import scale_table
+
         click.echo(f"\n{scale_table(prepared, options, found, device, counts, workers).text()}")
 
 
@@ -72,8 +84,9 @@ def _numbers(text: str) -> list[int]:
         if min(numbers, default=1) < 1 or max(numbers, default=1) > MOST_PHOTOS:
             raise ValueError
     except ValueError:
-        raise InputError(f"--photos {text[:80]}: expects whole numbers from 1 to {MOST_PHOTOS:,}, "
-                         "such as 1000,10000,100000") from None
+        raise InputError(
+            f"--photos {text[:80]}: expects whole numbers from 1 to {MOST_PHOTOS:,}, such as 1000,10000,100000"
+        ) from None
     return numbers
 
 
@@ -83,9 +96,11 @@ def _line(name: str, text: str) -> None:
 
 def _memory(forecast: Forecast, device: Device) -> str:
     memory, available = forecast.memory, device.memory_limit
-    text = (f"{memory.total / MIB:,.0f} MiB at most, of {available / MIB:,.0f}: "
-            f"{forecast.gaussians:,} gaussians {memory.model / MIB:,.0f}, photos "
-            f"{memory.photos / MIB:,.0f}, the rest for the step")
+    text = (
+        f"{memory.total / MIB:,.0f} MiB at most, of {available / MIB:,.0f}: "
+        f"{forecast.gaussians:,} gaussians {memory.model / MIB:,.0f}, photos "
+        f"{memory.photos / MIB:,.0f}, the rest for the step"
+    )
     if memory.waits:
         return f"{text}; {memory.waits / MIB:,.0f} MiB of harmonics wait in host memory"
     return text if memory.total < available else f"{text}; does not fit: use --max-gaussians or -r"
@@ -93,7 +108,10 @@ def _memory(forecast: Forecast, device: Device) -> str:
 
 def _time(forecast: Forecast) -> str:
     from clsplat.cli.progress import clock
+
     (_, _, begin), (level, gaussians, end) = forecast.ends
-    return (f"about {clock(forecast.seconds)} for {forecast.steps:,} steps: a step takes "
-            f"{1e3 * begin:.1f} ms at first, and {1e3 * end:.1f} ms at the end, with photos at "
-            f"{size_at(level)} and {gaussians:,} gaussians")
+    return (
+        f"about {clock(forecast.seconds)} for {forecast.steps:,} steps: a step takes "
+        f"{1e3 * begin:.1f} ms at first, and {1e3 * end:.1f} ms at the end, with photos at "
+        f"{size_at(level)} and {gaussians:,} gaussians"
+    )

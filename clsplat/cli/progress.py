@@ -37,8 +37,9 @@ class Progress(SilentProgress):
     began : see `SilentProgress`.
     """
 
-    def __init__(self, stop_at: int = 0, file: TextIO | None = None, title: str = "",
-                 began: float | None = None) -> None:
+    def __init__(
+        self, stop_at: int = 0, file: TextIO | None = None, title: str = "", began: float | None = None
+    ) -> None:
         super().__init__(began)
         self._stop_at, self._title = stop_at, f"{title}: " if title else ""
         self._file: TextIO | None = sys.stderr if file is None else file  # None if it is closed
@@ -69,12 +70,19 @@ class Progress(SilentProgress):
                 if self._drawn and not ended.is_set():
                     self._show()
 
-    def __call__(self, iteration: int, total: int, loss: float, gaussians: int, memory_bytes: int,
-                 level: float) -> None:
+    def __call__(
+        self, iteration: int, total: int, loss: float, gaussians: int, memory_bytes: int, level: float
+    ) -> None:
         """Show the numbers of a training step."""
         end = min(self._stop_at or total, total)
-        self._report(training_at(level), ", {}/{}", iteration, end, " it/s", [
-            f"loss {loss:.4f}", f"{gaussians:,} gaussians", f"{memory_bytes / 2**20:,.0f} MiB"])
+        self._report(
+            training_at(level),
+            ", {}/{}",
+            iteration,
+            end,
+            " it/s",
+            [f"loss {loss:.4f}", f"{gaussians:,} gaussians", f"{memory_bytes / 2**20:,.0f} MiB"],
+        )
 
     def count(self, what: str, done: int, total: int) -> None:
         """Show how many of `total` things are done, such as "photo", 3, 48."""
@@ -106,8 +114,7 @@ class Progress(SilentProgress):
         self._marks: deque[tuple[float, int]] = deque(maxlen=SPEED_REPORTS)  # time and progress
         self._numbers: list[str] = []  # the most important ones first
 
-    def _report(self, phase: str, number: str, done: int, total: int, unit: str = "",
-                more: Sequence[str] = ()) -> None:
+    def _report(self, phase: str, number: str, done: int, total: int, unit: str = "", more: Sequence[str] = ()) -> None:
         """Show numbers, but not more often than the stream should have them."""
         with self._lock:
             now, begins = time.monotonic(), phase != self._phase
@@ -118,10 +125,12 @@ class Progress(SilentProgress):
             rate = steps / seconds if seconds > 0 and steps > 0 else 0.0
             self._text = phase + number.format(done, total)
             self._ends = now + (total - done) / rate if rate and done < total else UNKNOWN
-            self._numbers = [_bar(done, total) if self._live else "",
-                             f"{rate:.1f}{unit}" if rate and unit else "", *more]
-            if begins or done == total or now - self._shown_at >= (
-                    DRAW_SECONDS if self._live else LOG_SECONDS):
+            self._numbers = [
+                _bar(done, total) if self._live else "",
+                f"{rate:.1f}{unit}" if rate and unit else "",
+                *more,
+            ]
+            if begins or done == total or now - self._shown_at >= (DRAW_SECONDS if self._live else LOG_SECONDS):
                 self._shown_at = now
                 self._show()
 
@@ -142,7 +151,7 @@ class Progress(SilentProgress):
             columns = os.get_terminal_size(self._file.fileno()).columns or DEFAULT_COLUMNS
             while len(fields) > 1 and len(", ".join(fields)) >= columns:
                 fields.pop()
-            self._draw(", ".join(fields)[:columns - 1])
+            self._draw(", ".join(fields)[: columns - 1])
 
     def _draw(self, line: str) -> None:
         """Replace the line on a terminal."""

@@ -22,17 +22,22 @@ def compare_surveys(before: Path, after: Path, output: Path, overwrite: bool, de
     as GeoTIFF, with styles for QGIS, a picture and a record.
     """
     from clsplat.apps.surveys import FILES, write_comparison
+
     for name in FILES:
         check_free(output / name, overwrite)
     with surface_file(before, None, device) as early, surface_file(after, None, device) as late:
         record = write_comparison(early, late, output, (str(before), str(after)))
     unit, shift = "m" if record["crs"] else "units", record["shift"]
-    click.echo(f"{output}: moved by {shift['east']:.3f} to the east, {shift['north']:.3f} to the "
-               f"north and {shift['up']:.3f} {unit} up; {record['compared']:.0%} compared")
+    click.echo(
+        f"{output}: moved by {shift['east']:.3f} to the east, {shift['north']:.3f} to the "
+        f"north and {shift['up']:.3f} {unit} up; {record['compared']:.0%} compared"
+    )
     if not record["horizontal_shift_found"]:
-        click.echo(f"{output}: warning: the ground is too level to show a shift along it; rely on "
-                   "control points")
-    click.echo(f"{output}: noise on stable ground {record['noise']:.3f} {unit} (NMAD), level of "
-               f"detection {record['level_of_detection']:.3f} {unit}")
-    click.echo(f"{output}: fill {record['fill']:,.1f}, cut {record['cut']:,.1f} {unit}³, on "
-               f"{record['changed']:,.1f} {unit}²")
+        click.echo(f"{output}: warning: the ground is too level to show a shift along it; rely on control points")
+    click.echo(
+        f"{output}: noise on stable ground {record['noise']:.3f} {unit} (NMAD), level of "
+        f"detection {record['level_of_detection']:.3f} {unit}"
+    )
+    click.echo(
+        f"{output}: fill {record['fill']:,.1f}, cut {record['cut']:,.1f} {unit}³, on {record['changed']:,.1f} {unit}²"
+    )

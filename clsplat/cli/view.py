@@ -9,8 +9,7 @@ from clsplat.cli.flags import PATH, device_flag, host_bytes, host_memory_flag
 
 @click.command(short_help="Look at the model of RUN in the browser.")
 @click.argument("run", type=PATH)
-@click.option("--port", type=click.IntRange(0, 65535), default=0,
-              help="Port of the page; default: any that is free.")
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port of the page; default: any that is free.")
 @host_memory_flag
 @device_flag
 def view(run: Path, port: int, host_memory: int | None, device: str) -> None:
@@ -22,6 +21,7 @@ def view(run: Path, port: int, host_memory: int | None, device: str) -> None:
     from clsplat.apps.live import show_run
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run
+
     opened = Run.open(run)
     most = host_bytes(host_memory, run)
     try:

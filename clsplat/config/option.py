@@ -23,13 +23,28 @@ KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "
 Option = dataclasses.Field[Any]
 
 
-def option(default: Any, group: str, text: str, *, affects: str = "model",
-           short: str | None = None, main: bool = False, words: dict[str, Any] | None = None,
-           choices: Sequence[str] = (), more: Callable[[], Iterable[str]] | None = None,
-           minimum: float | None = None, maximum: float | None = None, most: float | None = None,
-           expects: str | None = None, check: Callable[[Any], object] | None = None,
-           separator: str | None = None, sets: dict[Any, dict[str, Any]] | None = None,
-           part: str | None = None, flag: bool = True, measured: bool = False) -> Any:
+def option(
+    default: Any,
+    group: str,
+    text: str,
+    *,
+    affects: str = "model",
+    short: str | None = None,
+    main: bool = False,
+    words: dict[str, Any] | None = None,
+    choices: Sequence[str] = (),
+    more: Callable[[], Iterable[str]] | None = None,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    most: float | None = None,
+    expects: str | None = None,
+    check: Callable[[Any], object] | None = None,
+    separator: str | None = None,
+    sets: dict[Any, dict[str, Any]] | None = None,
+    part: str | None = None,
+    flag: bool = True,
+    measured: bool = False,
+) -> Any:
     """A field of a dataclass of options.
 
     Parameters
@@ -54,8 +69,9 @@ def option(default: Any, group: str, text: str, *, affects: str = "model",
     measured : whether a measurement chose the default; docs/evidence/index.md has a line for it.
     """
     settings = {name: value for name, value in locals().items() if name not in ("default", "text")}
-    return dataclasses.field(default=default, metadata={**settings, "help": text,
-                                                        "words": words or {}, "sets": sets or {}})
+    return dataclasses.field(
+        default=default, metadata={**settings, "help": text, "words": words or {}, "sets": sets or {}}
+    )
 
 
 def options_of(kind: type) -> list[Option]:
@@ -85,8 +101,7 @@ def shown_name(option: Option) -> str:
 
 def shown_default(option: Option) -> Any:
     """The default of an option, as the word that stands for it if there is one."""
-    return next((word for word, value in option.metadata["words"].items()
-                 if value == option.default), option.default)
+    return next((word for word, value in option.metadata["words"].items() if value == option.default), option.default)
 
 
 def kind_of(option: Option) -> tuple[Any, int | None]:
@@ -148,8 +163,11 @@ def _checked_one(option: Option, kind: Any, value: Any) -> Any:
     meta = option.metadata
     if kind is float and type(value) is int:
         value = float(value) if abs(value) < 2**63 else math.inf
-    if type(value) is not kind or meta["choices"] and not (
-            value in meta["choices"] or meta["more"] and value in meta["more"]()):
+    if (
+        type(value) is not kind
+        or meta["choices"]
+        and not (value in meta["choices"] or meta["more"] and value in meta["more"]())
+    ):
         raise ValueError
     if kind is str:
         if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
@@ -183,10 +201,11 @@ def check_flag(option: Option, value: Any) -> Any:
         return _checked_value(option, value)
     except ValueError as error:
         between = option.metadata["separator"] or (" " if kind_of(option)[1] else ",")
-        text = between.join(f"{part:g}" if isinstance(part, float) else str(part)
-                            for part in (value if isinstance(value, tuple) else (value,)))
-        raise InputError(f"{flag_name(option.name)} {text[:SHOWN]}: expects "
-                         f"{str(error) or expected(option)}") from None
+        text = between.join(
+            f"{part:g}" if isinstance(part, float) else str(part)
+            for part in (value if isinstance(value, tuple) else (value,))
+        )
+        raise InputError(f"{flag_name(option.name)} {text[:SHOWN]}: expects {str(error) or expected(option)}") from None
 
 
 def checked(kind: type, source: str, key: str, value: Any) -> Any:
@@ -195,13 +214,13 @@ def checked(kind: type, source: str, key: str, value: Any) -> Any:
     source = source and f"{source}: "
     option = next((option for option in options_of(kind) if option.name == key), None)
     if option is None:
-        raise InputError(f"{source}unknown option {key[:SHOWN]!r}; see `clsplat train "
-                         "--help-all`")
+        raise InputError(f"{source}unknown option {key[:SHOWN]!r}; see `clsplat train --help-all`")
     try:
         return _checked_value(option, value)
     except ValueError as error:
-        raise InputError(f"{source}option '{key.replace('_', '-')}' expects "
-                         f"{str(error) or expected(option)}, got {value!r:.{SHOWN}}") from None
+        raise InputError(
+            f"{source}option '{key.replace('_', '-')}' expects {str(error) or expected(option)}, got {value!r:.{SHOWN}}"
+        ) from None
 
 
 def plain(value: Any) -> Any:

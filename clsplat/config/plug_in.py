@@ -29,23 +29,26 @@ class Group:
     def others(self) -> dict[str, EntryPoint]:
         """The entries of other packages, by name."""
         from importlib.metadata import entry_points  # a fifth of what `clsplat --help` imports
-        return {entry.name: entry for entry in sorted(entry_points(group=self.name))
-                if entry.name not in self._ours}
+
+        return {entry.name: entry for entry in sorted(entry_points(group=self.name)) if entry.name not in self._ours}
 
     def load(self, name: str, base: type[Base] | None = None) -> type[Base]:
         """Import a class; InputError if it does not load, or is no subclass of `base`."""
         if name not in self.others:
-            raise InputError(f"{name}: no package registers it in {self.name}; install the one "
-                             "that does in this environment")
+            raise InputError(
+                f"{name}: no package registers it in {self.name}; install the one that does in this environment"
+            )
         try:
             found: type[Base] = self.others[name].load()
         except (Exception, SystemExit) as error:  # a script without a main guard exits
             cause = " ".join(str(error).split())[:LONGEST]
-            raise InputError(f"{self._source(name)} does not load ({type(error).__name__}: "
-                             f"{cause}); {CORRECT}") from error
+            raise InputError(
+                f"{self._source(name)} does not load ({type(error).__name__}: {cause}); {CORRECT}"
+            ) from error
         if not isinstance(found, type) or base and not issubclass(found, base):
-            raise InputError(f"{self._source(name)} is not a subclass of "
-                             f"clsplat.{base.__name__ if base else 'Part'}; {CORRECT}")
+            raise InputError(
+                f"{self._source(name)} is not a subclass of clsplat.{base.__name__ if base else 'Part'}; {CORRECT}"
+            )
         return found
 
     def own_options(self, name: str, own: Any, taken: type) -> type | None:
@@ -53,13 +56,10 @@ class Group:
         such class, or has a name that `taken` has."""
         if own is None:
             return None
-        if not (dataclasses.is_dataclass(own) and isinstance(own, type)
-                and own.__dataclass_params__.frozen):  # type: ignore[attr-defined]
-            raise InputError(f"Options of {self._source(name)} is not a frozen dataclass of "
-                             f"options; {CORRECT}")
+        if not (dataclasses.is_dataclass(own) and isinstance(own, type) and own.__dataclass_params__.frozen):  # type: ignore[attr-defined]
+            raise InputError(f"Options of {self._source(name)} is not a frozen dataclass of options; {CORRECT}")
         if twice := [option.name for option in options_of(own) if hasattr(taken, option.name)]:
-            raise InputError(f"Options of {self._source(name)} names {', '.join(twice)}, which "
-                             f"clsplat has; {CORRECT}")
+            raise InputError(f"Options of {self._source(name)} names {', '.join(twice)}, which clsplat has; {CORRECT}")
         return own
 
     def _source(self, name: str) -> str:

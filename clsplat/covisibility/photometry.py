@@ -33,8 +33,9 @@ LEAST_FACTOR = 0.2  # of a photo's brightness
 COLOUR_ROUNDS = 3  # of fitting photos to the points' means, and taking these again
 
 
-def exposure_drift(views: Sequence[View], photos: Iterable[NDArray[np.uint8]],
-                   points: NDArray[np.floating], colours: NDArray[np.uint8]) -> float:
+def exposure_drift(
+    views: Sequence[View], photos: Iterable[NDArray[np.uint8]], points: NDArray[np.floating], colours: NDArray[np.uint8]
+) -> float:
     """The standard deviation, over photos, of their log brightness relative to the sparse points.
 
     The brightness of a photo is the median, over the points that it shows, of log luma minus the
@@ -72,9 +73,9 @@ def _log_luma(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
     return np.log(np.maximum(LUMA @ pixels / 255, DARKEST_LUMA))
 
 
-def _shown_points(camera: Camera, photo: NDArray[np.uint8], points: NDArray[np.floating],
-                  clusters: Clusters
-                  ) -> tuple[NDArray[np.integer], NDArray[np.integer], NDArray[np.integer]]:
+def _shown_points(
+    camera: Camera, photo: NDArray[np.uint8], points: NDArray[np.floating], clusters: Clusters
+) -> tuple[NDArray[np.integer], NDArray[np.integer], NDArray[np.integer]]:
     """Index, pixel column and pixel row of the points in the photo that no nearer point hides, nor
     its mask. Without the test for hidden ones, walls behind roofs change the median more than
     exposure does."""
@@ -88,8 +89,7 @@ def _shown_points(camera: Camera, photo: NDArray[np.uint8], points: NDArray[np.f
     return near[inside[counted]], column[counted], row[counted]
 
 
-def _points_inside(camera: Camera, photo: NDArray[np.uint8], points: NDArray[np.floating]
-                   ) -> tuple[NDArray[Any], ...]:
+def _points_inside(camera: Camera, photo: NDArray[np.uint8], points: NDArray[np.floating]) -> tuple[NDArray[Any], ...]:
     """Index, pixel column, pixel row and depth of the points that project into the photo."""
     _, height, width = photo.shape
     pixel, depth = camera.resized(width, height).project(points)
@@ -97,8 +97,7 @@ def _points_inside(camera: Camera, photo: NDArray[np.uint8], points: NDArray[np.
     return inside, *pixel[inside].astype(int).T, depth[inside]
 
 
-def corner_darkening(views: Sequence[View], photos: Iterable[NDArray[np.uint8]],
-                     points: NDArray[np.floating]) -> float:
+def corner_darkening(views: Sequence[View], photos: Iterable[NDArray[np.uint8]], points: NDArray[np.floating]) -> float:
     """The share of brightness that photos lose in their corners; below 0 where they gain.
 
     The log luma of a point in a photo is taken as the sum of a number of the photo, one of the
@@ -107,8 +106,7 @@ def corner_darkening(views: Sequence[View], photos: Iterable[NDArray[np.uint8]],
     others. Where a camera moves along its axis, what is near the border is near the camera, too.
     Arguments as for `exposure_drift`; 0 if no two photos show the same points."""
     clusters = Clusters(points)
-    parts = [_darkening_samples(view, photo, points, clusters)
-             for view, photo in zip(views, photos)]
+    parts = [_darkening_samples(view, photo, points, clusters) for view, photo in zip(views, photos)]
     if not parts:
         return 0.0
     view = np.repeat(np.arange(len(parts)), [len(point) for point, _ in parts])
@@ -122,8 +120,9 @@ def corner_darkening(views: Sequence[View], photos: Iterable[NDArray[np.uint8]],
     return float(1 - np.exp(factors[0]))
 
 
-def _darkening_samples(view: View, photo: NDArray[np.uint8], points: NDArray[np.floating],
-                       clusters: Clusters) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
+def _darkening_samples(
+    view: View, photo: NDArray[np.uint8], points: NDArray[np.floating], clusters: Clusters
+) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
     """The points that a photo shows, and their log luma, squared radius and log depth, [3, N].
 
     The squared radius is 1 in the farthest corner.
@@ -131,13 +130,12 @@ def _darkening_samples(view: View, photo: NDArray[np.uint8], points: NDArray[np.
     shown, column, row = _shown_points(view.camera, photo, points, clusters)
     camera = view.camera.resized(photo.shape[2], photo.shape[1])
     _, depth = camera.project(points[shown])
-    return shown, np.stack([_log_luma(photo[:3, row, column]),
-                            squared_radius(camera)[row, column] / corner_radius(camera),
-                            np.log(depth)])
+    return shown, np.stack(
+        [_log_luma(photo[:3, row, column]), squared_radius(camera)[row, column] / corner_radius(camera), np.log(depth)]
+    )
 
 
-def colour_disagreement(scene: Scene, views: Sequence[View], photos: Iterable[NDArray[np.uint8]]
-                        ) -> float:
+def colour_disagreement(scene: Scene, views: Sequence[View], photos: Iterable[NDArray[np.uint8]]) -> float:
     """The standard deviation of a place's colour over the photos that show it.
 
     Each channel of a photo is first fitted to the points' mean colours by a factor and an offset,
@@ -146,8 +144,10 @@ def colour_disagreement(scene: Scene, views: Sequence[View], photos: Iterable[ND
     point, so that a few wrong observations do not count. `photos` as for `exposure_drift`.
 
     Returns a share of full brightness; nan where no point is observed in three of the photos."""
-    parts = [_colours(scene.points, point, view, photo) for view, point, photo
-             in zip(views, observed_points(scene, views), photos)]
+    parts = [
+        _colours(scene.points, point, view, photo)
+        for view, point, photo in zip(views, observed_points(scene, views), photos)
+    ]
     parts = [part for part in parts if len(part[0]) >= LEAST_POINTS]
     if not parts:
         return float("nan")
@@ -170,8 +170,9 @@ def colour_disagreement(scene: Scene, views: Sequence[View], photos: Iterable[ND
     return 1.4826 * float(np.median(deviation))  # of a normal distribution
 
 
-def _colours(points: NDArray[np.floating], observed: NDArray[np.integer], view: View,
-             photo: NDArray[np.uint8]) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
+def _colours(
+    points: NDArray[np.floating], observed: NDArray[np.integer], view: View, photo: NDArray[np.uint8]
+) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
     """The points of which a photo shows the colour, and these colours [M, 3]."""
     inside, column, row, _ = _points_inside(view.camera, photo, points[observed])
     counted = (photo[3:, row, column] > 0).all(axis=0)

@@ -62,24 +62,23 @@ def plan_growth(round: Round, grows: NDArray[np.bool_], prunes: NDArray[np.bool_
     clones = np.flatnonzero(grows & round.is_small & ~prunes)
     of_splits = {name: rows[name].take(splits, axis=0) for name in rows}
     # a parent that is pruned only for its size may have children
-    lives = ((round.visible[splits] | ~prunes[splits])
-             & (round.largest[splits] - SHRINK <= round.limit))
+    lives = (round.visible[splits] | ~prunes[splits]) & (round.largest[splits] - SHRINK <= round.limit)
     keeps = np.repeat(lives, CHILDREN)
     quaternions = of_splits["quaternions"].astype(np.float64)[:, None]
     quaternions /= np.maximum(np.linalg.norm(quaternions, axis=2, keepdims=True), 1e-30)
     w, axis = quaternions[..., :1], quaternions[..., 1:]
     # drawn for every child, so that pruning one does not change the position of another
-    drawn = round.rng.standard_normal((len(splits), CHILDREN, 3)) * np.exp(
-        of_splits["log_scales"].astype(np.float64))[:, None]
+    drawn = (
+        round.rng.standard_normal((len(splits), CHILDREN, 3))
+        * np.exp(of_splits["log_scales"].astype(np.float64))[:, None]
+    )
     twice = 2 * np.cross(axis, drawn)
     offsets = drawn + w * twice + np.cross(axis, twice)
     positions = (of_splits["positions"][:, None] + offsets).astype(np.float32).reshape(-1, 3)
     spheres: dict[str, NDArray[np.float32]] = {}
     if "anchors" in rows:
-        anchors = (positions if options.sphere_rule == "release" else
-                   np.repeat(of_splits["anchors"], CHILDREN, axis=0))
-        max_offsets = (np.repeat(of_splits["max_offsets"], CHILDREN)
-                       * options.sphere_shrink).astype(np.float32)
+        anchors = positions if options.sphere_rule == "release" else np.repeat(of_splits["anchors"], CHILDREN, axis=0)
+        max_offsets = (np.repeat(of_splits["max_offsets"], CHILDREN) * options.sphere_shrink).astype(np.float32)
         keeps &= ~outside(positions, anchors, max_offsets, options.sphere_reach)
         spheres = {"anchors": anchors, "max_offsets": max_offsets}
 
@@ -89,22 +88,25 @@ def plan_growth(round: Round, grows: NDArray[np.bool_], prunes: NDArray[np.bool_
     first = len(stays) + len(clones)
     kept = np.flatnonzero(keeps)
     parent = kept // CHILDREN  # among the splits
-    changes = {name: (first, values.take(kept, axis=0))
-               for name, values in {"positions": positions, **spheres}.items()}
-    changes["log_scales"] = first, (of_splits["log_scales"] - SHRINK).astype(np.float32).take(
-        parent, axis=0)
+    changes = {name: (first, values.take(kept, axis=0)) for name, values in {"positions": positions, **spheres}.items()}
+    changes["log_scales"] = first, (of_splits["log_scales"] - SHRINK).astype(np.float32).take(parent, axis=0)
     if spheres:  # a clone is anchored at its own position
         anchors = np.concatenate([rows["positions"][clones], changes["anchors"][1]])
         changes["anchors"] = len(stays), anchors.astype(np.float32)
     source = np.concatenate([stays, clones, splits[parent]], dtype=np.uint32, casting="unsafe")
     split = int(np.count_nonzero(np.bincount(parent)))
-    return Growth(source, len(stays), len(clones), split,
-                  len(rows["positions"]) - len(stays) - split, changes)
+    return Growth(source, len(stays), len(clones), split, len(rows["positions"]) - len(stays) - split, changes)
 
 
-def plan_relocation(opacity_logits: NDArray[np.floating], log_scales: NDArray[np.floating],
-                    dead: NDArray[np.bool_], frozen: NDArray[np.bool_], added: int,
-                    least_opacity: float, rng: np.random.Generator) -> Growth:
+def plan_relocation(
+    opacity_logits: NDArray[np.floating],
+    log_scales: NDArray[np.floating],
+    dead: NDArray[np.bool_],
+    frozen: NDArray[np.bool_],
+    added: int,
+    least_opacity: float,
+    rng: np.random.Generator,
+) -> Growth:
     """Decide which gaussians become copies of which, in one draw for relocation and growth.
 
     Where no gaussian lives nothing changes. The moments of all gaussians that share begin at 0.
@@ -132,9 +134,17 @@ def plan_relocation(opacity_logits: NDArray[np.floating], log_scales: NDArray[np
 
     logits = of_sharing(np.log(opacity) - np.log1p(-opacity))
     scales = log_scales[sharing] + of_sharing(np.log(shrink))[:, None]
-    return Growth(np.concatenate([stays, sharing]).astype(np.uint32), len(stays), copies, 0,
-                  int(moves.sum()), {"opacity_logits": (len(stays), logits.astype(np.float32)),
-                                     "log_scales": (len(stays), scales.astype(np.float32))})
+    return Growth(
+        np.concatenate([stays, sharing]).astype(np.uint32),
+        len(stays),
+        copies,
+        0,
+        int(moves.sum()),
+        {
+            "opacity_logits": (len(stays), logits.astype(np.float32)),
+            "log_scales": (len(stays), scales.astype(np.float32)),
+        },
+    )
 
 
 def shared(opacity: Floats, number: NDArray[np.integer]) -> tuple[Floats, Floats]:

@@ -46,10 +46,18 @@ class Round:
     is_small, visible : bool[N], cloned rather than split; neither transparent nor outside a sphere.
     """
 
-    def __init__(self, iteration: int, rows: dict[str, NDArray[np.float32]], extent: float,
-                 options: "ScheduledOptions", prunes_large: bool, frozen: Mask,
-                 gradient: Callable[[], Floats], scores: Callable[[Floats], Floats],
-                 weights: Callable[[], Floats]) -> None:
+    def __init__(
+        self,
+        iteration: int,
+        rows: dict[str, NDArray[np.float32]],
+        extent: float,
+        options: "ScheduledOptions",
+        prunes_large: bool,
+        frozen: Mask,
+        gradient: Callable[[], Floats],
+        scores: Callable[[Floats], Floats],
+        weights: Callable[[], Floats],
+    ) -> None:
         self.iteration, self.rows, self.options, self.frozen = iteration, rows, options, frozen
         self.rng = np.random.default_rng([options.seed, iteration])
         self._gradient, self._scores, self.weights = gradient, scores, weights
@@ -64,8 +72,7 @@ class Round:
             logit = np.log(least) - np.log1p(-least)
         self.visible: Mask = rows["opacity_logits"] >= logit  # false for NaN too
         if "anchors" in rows:
-            self.visible &= ~outside(rows["positions"], rows["anchors"], rows["max_offsets"],
-                                     options.sphere_reach)
+            self.visible &= ~outside(rows["positions"], rows["anchors"], rows["max_offsets"], options.sphere_reach)
 
     @cached_property
     def prunes(self) -> Mask:
@@ -132,11 +139,16 @@ class Round:
         return plan_growth(self, grows, self.prunes if prunes is None else prunes)
 
     def relocate(self, added: int) -> Growth:
-        """Make copies of live gaussians, in place of transparent ones and, `added` of them, beside.
-        """
-        return plan_relocation(self.rows["opacity_logits"], self.rows["log_scales"],
-                               ~self.visible, self.frozen, added,
-                               self.options.prune_opacity, self.rng)
+        """Make copies of live gaussians, in place of transparent ones and, `added` of them, beside."""
+        return plan_relocation(
+            self.rows["opacity_logits"],
+            self.rows["log_scales"],
+            ~self.visible,
+            self.frozen,
+            added,
+            self.options.prune_opacity,
+            self.rng,
+        )
 
 
 def _drawn_keys(weights: Floats, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -158,5 +170,5 @@ def _first(keys: Floats, count: int) -> Mask:
         return np.full(len(keys), count > 0)
     last = np.partition(keys, count - 1)[count - 1]
     mask: Mask = keys < last
-    mask[np.flatnonzero(keys == last)[:count - mask.sum()]] = True
+    mask[np.flatnonzero(keys == last)[: count - mask.sum()]] = True
     return mask

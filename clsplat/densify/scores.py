@@ -21,8 +21,16 @@ MAP_WEIGHT = 50.0  # of each of the two maps of pixel weights
 VIEW_WEIGHT = 50.0
 MOST_WEIGHED = 400  # views by which it is counted how many pixels show a gaussian
 COEFFICIENTS = {
-    "gradient": 25.0, "opacity": 100.0, "depth": 5.0, "radius": 10.0, "volume": 25.0,
-    "distance": 50.0, "weighted": 10.0, "pixels": 0.1, "weight": 50.0}
+    "gradient": 25.0,
+    "opacity": 100.0,
+    "depth": 5.0,
+    "radius": 10.0,
+    "volume": 25.0,
+    "distance": 50.0,
+    "weighted": 10.0,
+    "pixels": 0.1,
+    "weight": 50.0,
+}
 
 
 SizedCamera = tuple[Array, int, int]  # packed camera real[27], width and height, pixels
@@ -60,9 +68,15 @@ class Statistics:
         return means
 
 
-def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[ScoredView],
-                  sh_degree: int, ssim_weight: float, gradient: NDArray[np.floating],
-                  shown: Callable[[Array], Rows] | None = None) -> NDArray[np.float64]:
+def taming_scores(
+    renderer: Renderer,
+    rows: Rows,
+    views: Iterable[ScoredView],
+    sh_degree: int,
+    ssim_weight: float,
+    gradient: NDArray[np.floating],
+    shown: Callable[[Array], Rows] | None = None,
+) -> NDArray[np.float64]:
     """The scores float64[N] of gaussians, summed over about ten views; 0 where no view sees one.
 
     A view's score is its loss times a sum of terms, each a value over the median of its positive
@@ -78,28 +92,27 @@ def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[ScoredView],
     scores = np.zeros(len(gradient))
     for view in views:
         photo, (_, height, width) = view.photo, view.photo.shape
-        frame = renderer.render(shown(view.camera) if shown else rows, view.camera, width, height,
-                                sh_degree)
+        frame = renderer.render(shown(view.camera) if shown else rows, view.camera, width, height, sh_degree)
         loss, visible, of_view = _seen(renderer.device, frame, photo, ssim_weight)
-        values = {"gradient": gradient[visible], "opacity": opacity[visible],
-                  "volume": volume[visible], **of_view}
-        scores[visible] += VIEW_WEIGHT * loss * sum(
-            coefficient * _by_median(values[name]) for name, coefficient in COEFFICIENTS.items())
+        values = {"gradient": gradient[visible], "opacity": opacity[visible], "volume": volume[visible], **of_view}
+        scores[visible] += (
+            VIEW_WEIGHT
+            * loss
+            * sum(coefficient * _by_median(values[name]) for name, coefficient in COEFFICIENTS.items())
+        )
     return scores
 
 
-def blending_weights(renderer: Renderer, rows: Rows, cameras: Iterable[SizedCamera]
-                     ) -> NDArray[np.float64]:
+def blending_weights(renderer: Renderer, rows: Rows, cameras: Iterable[SizedCamera]) -> NDArray[np.float64]:
     """float64[N], how many pixels show each gaussian: its weights alpha T in blending, summed over
     the pixels of the views of some cameras; of more than MOST_WEIGHED an estimate, by every n-th.
     """
     weights, cameras = np.zeros(len(rows["positions"])), list(cameras)
-    chosen = cameras[::-(-len(cameras) // MOST_WEIGHED)]
+    chosen = cameras[:: -(-len(cameras) // MOST_WEIGHED)]
     for camera, width, height in chosen:
         frame = renderer.render(rows, camera, width, height, 0)  # colours have no weight
         nothing = renderer.device.zeros((height, width))  # no weighted sum is needed
-        weights[frame.visible.download()] += contribution(
-            renderer.device, frame, nothing).download()[:, 1]
+        weights[frame.visible.download()] += contribution(renderer.device, frame, nothing).download()[:, 1]
         del frame, nothing
         renderer.device.trim()  # or blocks of the many sizes of frames add up
     return weights * (len(cameras) / max(1, len(chosen)))
@@ -116,25 +129,34 @@ def pixel_weights(image: NDArray[np.floating], photo: NDArray[np.uint8]) -> NDAr
     return MAP_WEIGHT * (_spread(error * valid) + _spread(edges * valid)) * valid
 
 
-def _seen(device: Device, frame: Frame, photo: Array, ssim_weight: float
-          ) -> tuple[float, NDArray[np.uint32], dict[str, NDArray[np.float64]]]:
+def _seen(
+    device: Device, frame: Frame, photo: Array, ssim_weight: float
+) -> tuple[float, NDArray[np.uint32], dict[str, NDArray[np.float64]]]:
     """A frame's loss, its visible rows uint[V], and the terms float64[V] of this view."""
     partials, _ = image_loss(device, frame.exposed, photo, ssim_weight)
     loss, _, _ = loss_value(partials, math.prod(frame.image.shape), ssim_weight)
     weights = device.upload(pixel_weights(frame.exposed.download(), photo.download()))
-    pixels, weight, weighted, distance = contribution(device, frame, weights).download().T.astype(
-        np.float64)
+    pixels, weight, weighted, distance = contribution(device, frame, weights).download().T.astype(np.float64)
     splats = frame.splats.download().astype(np.float64)
-    return loss, frame.visible.download(), {
-        "depth": splats[:, SPLAT_DEPTH], "radius": _radius(splats), "distance": distance,
-        "weighted": weighted, "pixels": pixels, "weight": weight}
+    return (
+        loss,
+        frame.visible.download(),
+        {
+            "depth": splats[:, SPLAT_DEPTH],
+            "radius": _radius(splats),
+            "distance": distance,
+            "weighted": weighted,
+            "pixels": pixels,
+            "weight": weight,
+        },
+    )
 
 
 def _radius(splats: NDArray[np.float64]) -> NDArray[np.float64]:
     """float64[V], pixels: the standard deviation along the longer axis of splats [V, 12]
     (cl/include/splat.h). It uses the extent, since inverting a needle's conic loses all digits."""
     cutoff, extent_y = splats[:, SPLAT_CUTOFF], splats[:, SPLAT_EXTENT_Y]
-    a, b, c = splats[:, SPLAT_CONIC:SPLAT_CONIC + 3].T
+    a, b, c = splats[:, SPLAT_CONIC : SPLAT_CONIC + 3].T
     yy = extent_y**2 / cutoff
     xx, xy = yy * c / a, -yy * b / a
     radius: NDArray[np.float64] = np.sqrt((xx + yy) / 2 + np.hypot((xx - yy) / 2, xy))

@@ -16,12 +16,15 @@ def with_spheres(gaussians: Gaussians, neighbours: int) -> Gaussians:
     """Initial gaussians, on the sparse points, with spheres around their positions; max_offset is
     the mean distance to the `neighbours` nearest others."""
     offsets = mean_neighbour_distance(gaussians.positions.astype(np.float64), neighbours)
-    return Gaussians({**gaussians.rows, "anchors": gaussians.positions.copy(),
-                      "max_offsets": offsets.astype(np.float32)}, gaussians.sh_degree)
+    return Gaussians(
+        {**gaussians.rows, "anchors": gaussians.positions.copy(), "max_offsets": offsets.astype(np.float32)},
+        gaussians.sh_degree,
+    )
 
 
-def outside(positions: NDArray[np.float32], anchors: NDArray[np.float32],
-            max_offsets: NDArray[np.float32], reach: float) -> NDArray[np.bool_]:
+def outside(
+    positions: NDArray[np.float32], anchors: NDArray[np.float32], max_offsets: NDArray[np.float32], reach: float
+) -> NDArray[np.bool_]:
     """Which positions [N, 3] are further than reach x max_offsets [N] from their anchors [N, 3], or
     not a number."""
     with np.errstate(over="ignore", invalid="ignore"):

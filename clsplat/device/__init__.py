@@ -14,6 +14,24 @@ from clsplat.device.find import choose_device, choose_handle, list_devices
 from clsplat.device.graph import Graph
 from clsplat.device.kernel import Either, Forms, Kernel, Only, each, groups, items
 
-__all__ = ["Array", "ArraySpec", "Device", "Either", "Forms", "Graph", "Handle", "Kernel", "Only",
-           "Reading", "Transfers", "Writing", "choose_device", "choose_handle", "each", "groups",
-           "items", "list_devices", "pinned"]
+__all__ = [
+    "Array",
+    "ArraySpec",
+    "Device",
+    "Either",
+    "Forms",
+    "Graph",
+    "Handle",
+    "Kernel",
+    "Only",
+    "Reading",
+    "Transfers",
+    "Writing",
+    "choose_device",
+    "choose_handle",
+    "each",
+    "groups",
+    "items",
+    "list_devices",
+    "pinned",
+]

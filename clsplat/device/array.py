@@ -40,8 +40,7 @@ class Array:
 
     __slots__ = ("device", "buffer", "block", "shape", "dtype", "nbytes", "__weakref__")
 
-    def __init__(self, device: Device, block: Block, shape: tuple[int, ...], dtype: DTypeLike
-                 ) -> None:
+    def __init__(self, device: Device, block: Block, shape: tuple[int, ...], dtype: DTypeLike) -> None:
         self.device, self.block, self.buffer, self.shape = device, block, block.buffer, shape
         self.dtype: np.dtype[Any] = np.dtype(dtype)
         self.nbytes = math.prod(shape) * self.dtype.itemsize
@@ -62,14 +61,12 @@ class Array:
         return Array(self.device, self.block, shape, self.dtype)
 
     def viewed(self, dtype: DTypeLike) -> Array:
-        """The same memory as elements of another type, of which the last axis counts more or less.
-        """
+        """The same memory as elements of another type, of which the last axis counts more or less."""
         *axes, last = self.shape
         new = np.dtype(dtype)
         if last * self.dtype.itemsize % new.itemsize:
             raise ShapeError(f"cannot view {self.shape} of {self.dtype} as {new}")
-        return Array(self.device, self.block, (*axes, last * self.dtype.itemsize // new.itemsize),
-                     new)
+        return Array(self.device, self.block, (*axes, last * self.dtype.itemsize // new.itemsize), new)
 
     def copied(self) -> Array:
         """A persistent Array with the same values."""
@@ -80,12 +77,10 @@ class Array:
 
     def download(self, first_row: int = 0) -> NDArray[Any]:
         """A numpy copy of the rows from `first_row` on; waits for everything queued before."""
-        host = np.empty((self.shape[0] - first_row, *self.shape[1:]) if first_row else self.shape,
-                        self.dtype)
+        host = np.empty((self.shape[0] - first_row, *self.shape[1:]) if first_row else self.shape, self.dtype)
         if host.size:
             self.device.note_wait()
-            cl.enqueue_copy(self.device.queue, host, self.buffer,
-                            src_offset=self.nbytes - host.nbytes)
+            cl.enqueue_copy(self.device.queue, host, self.buffer, src_offset=self.nbytes - host.nbytes)
         return host
 
     def write(self, values: ArrayLike, first_row: int = 0) -> None:
@@ -96,8 +91,7 @@ class Array:
         if values.size:
             stride = math.prod(self.shape[1:]) * self.dtype.itemsize
             self.device.note_wait()
-            cl.enqueue_copy(self.device.queue, self.buffer, values, dst_offset=first_row * stride,
-                            is_blocking=True)
+            cl.enqueue_copy(self.device.queue, self.buffer, values, dst_offset=first_row * stride, is_blocking=True)
 
     def fill(self, value: float = 0) -> None:
         """Set every element to `value`."""
@@ -111,8 +105,7 @@ class Reading:
 
     def __init__(self, array: Array) -> None:
         self._host: NDArray[Any] = np.empty(array.shape, array.dtype)
-        self._event = cl.enqueue_copy(array.device.queue, self._host, array.buffer,
-                                      is_blocking=False)
+        self._event = cl.enqueue_copy(array.device.queue, self._host, array.buffer, is_blocking=False)
         array.device.queue.flush()
 
     def values(self) -> NDArray[Any]:
@@ -127,8 +120,7 @@ class Writing:
 
     def __init__(self, array: Array, host: NDArray[Any]) -> None:
         if host.shape != array.shape or host.dtype != array.dtype:
-            raise ShapeError(f"cannot write {host.shape} of {host.dtype} into {array.shape} of "
-                             f"{array.dtype}")
+            raise ShapeError(f"cannot write {host.shape} of {host.dtype} into {array.shape} of {array.dtype}")
         self._host = host
         self._event = cl.enqueue_copy(array.device.queue, array.buffer, host, is_blocking=False)
 
@@ -155,13 +147,15 @@ class Transfers:
 
     def read(self, array: Array, first: int, host: NDArray[Any]) -> None:
         """Begin to copy rows of an array, from `first` on, to the host."""
-        cl.enqueue_copy(self._queue, host, array.buffer, is_blocking=False,
-                        src_offset=first * array.nbytes // len(array))
+        cl.enqueue_copy(
+            self._queue, host, array.buffer, is_blocking=False, src_offset=first * array.nbytes // len(array)
+        )
 
     def write(self, array: Array, first: int, host: NDArray[Any]) -> None:
         """Begin to overwrite rows, from `first` on, with values that stay till that is done."""
-        cl.enqueue_copy(self._queue, array.buffer, host, is_blocking=False,
-                        dst_offset=first * array.nbytes // len(array))
+        cl.enqueue_copy(
+            self._queue, array.buffer, host, is_blocking=False, dst_offset=first * array.nbytes // len(array)
+        )
 
     def finish(self) -> None:
         """Wait for all that is on its way."""
@@ -230,8 +224,11 @@ class Arena:
             that arrays of changing sizes find blocks.
         """
         size = size if exact else block_bytes(size)
-        fits = [other for other, free in self._free.items()
-                if free and size <= other <= (MOST_SPARE * size if exact else size)]
+        fits = [
+            other
+            for other, free in self._free.items()
+            if free and size <= other <= (MOST_SPARE * size if exact else size)
+        ]
         if fits:
             free = self._free[min(fits)]
             return Block(free.pop(), free.append)

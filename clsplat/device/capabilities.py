@@ -23,13 +23,17 @@ __kernel void probe(__global float *x)
 _LANE = np.arange(32, dtype=np.float32)
 _PLAIN = "x[get_local_id(0)] = exp(1.0f) + lane", np.e + _LANE
 _FEATURES = {  # preprocessor name -> what a kernel does, and its result
-    "HAVE_DOUBLE": ("x[get_local_id(0)] = (float)((double)lane + 1e-12 > (double)lane)",
-                    np.ones(32)),
+    "HAVE_DOUBLE": ("x[get_local_id(0)] = (float)((double)lane + 1e-12 > (double)lane)", np.ones(32)),
     "HAVE_NATIVE_EXP": ("x[get_local_id(0)] = native_exp2(-0.26f * lane)", np.exp2(-0.26 * _LANE)),
-    "HAVE_NATIVE_DIVIDE": ("x[get_local_id(0)] = native_divide(lane - 7.3f, 0.03f * lane + 0.01f)",
-                           (_LANE - 7.3) / (0.03 * _LANE + 0.01)),
-    "HAVE_PREFETCH": ("__builtin_prefetch((const void *)(size_t)(x + get_local_id(0))); "
-                      "x[get_local_id(0)] = lane", _LANE)}
+    "HAVE_NATIVE_DIVIDE": (
+        "x[get_local_id(0)] = native_divide(lane - 7.3f, 0.03f * lane + 0.01f)",
+        (_LANE - 7.3) / (0.03 * _LANE + 0.01),
+    ),
+    "HAVE_PREFETCH": (
+        "__builtin_prefetch((const void *)(size_t)(x + get_local_id(0))); x[get_local_id(0)] = lane",
+        _LANE,
+    ),
+}
 
 
 def _built(context: cl.Context, work: str) -> cl.Kernel:
@@ -69,7 +73,8 @@ def probe_wave(context: cl.Context, handle: cl.Device) -> int:
     if not handle.type & cl.device_type.GPU:
         return 32
     multiple = _built(context, _PLAIN[0]).get_work_group_info(
-        cl.kernel_work_group_info.PREFERRED_WORK_GROUP_SIZE_MULTIPLE, handle)
+        cl.kernel_work_group_info.PREFERRED_WORK_GROUP_SIZE_MULTIPLE, handle
+    )
     return 64 if multiple == 64 else 32
 
 
@@ -77,7 +82,8 @@ def may_prefetch(handle: cl.Device) -> bool:
     """Whether clang's prefetch may be tried: only a CPU's kernels use it, and Mesa's compiler ends
     the process that tries it."""
     return bool(handle.type & cl.device_type.CPU) and any(
-        name in handle.platform.name for name in ("Intel", "Portable Computing"))
+        name in handle.platform.name for name in ("Intel", "Portable Computing")
+    )
 
 
 def probe_capabilities(context: cl.Context, handle: cl.Device) -> dict[str, bool]:
@@ -85,8 +91,7 @@ def probe_capabilities(context: cl.Context, handle: cl.Device) -> dict[str, bool
     works = {}
     for name, feature in _FEATURES.items():
         try:
-            works[name] = (name != "HAVE_PREFETCH" or may_prefetch(handle)) and _works(
-                context, handle, *feature)
+            works[name] = (name != "HAVE_PREFETCH" or may_prefetch(handle)) and _works(context, handle, *feature)
         except cl.Error:
             works[name] = False
     return works

@@ -59,9 +59,15 @@ class Device:
     allocations : arrays that were created so far, of new memory or old.
     """
 
-    def __init__(self, handle: Handle, precision: str = "float", form: str = "auto",
-                 profiling: bool = False, build_options: Sequence[str] = (),
-                 tuning: Mapping[str, int] | None = None) -> None:
+    def __init__(
+        self,
+        handle: Handle,
+        precision: str = "float",
+        form: str = "auto",
+        profiling: bool = False,
+        build_options: Sequence[str] = (),
+        tuning: Mapping[str, int] | None = None,
+    ) -> None:
         self.handle = handle
         self.name = handle.name.strip()
         self.is_cpu = bool(handle.type & cl.device_type.CPU)
@@ -76,16 +82,18 @@ class Device:
         self.limit_memory()
         self.wave = probe_wave(self.context, handle)
         self.reported: dict[str, Any] = {
-            "kind": "cpu" if self.is_cpu else "gpu", "wave": self.wave,
-            "compute_units": self.compute_units, "local_bytes": handle.local_mem_size}
+            "kind": "cpu" if self.is_cpu else "gpu",
+            "wave": self.wave,
+            "compute_units": self.compute_units,
+            "local_bytes": handle.local_mem_size,
+        }
         self.tuning = tuning = dict(tuning or tuning_of(**self.reported))
         most_items = handle.max_work_group_size
         self.item_runs, self.bucket = tuning["item_runs"], tuning["bucket"]
         self.group_size = min(tuning["group_size"], most_items)
         self.scan_group = min(tuning["scan_group"], 1 << most_items.bit_length() - 1)
         # a lane owns a pixel of a tile, which is smaller where groups are; the item form's is fixed
-        self.tile = 16 if self.form == "item" else (
-            tuning["tile"] if most_items >= tuning["tile"]**2 else 8)
+        self.tile = 16 if self.form == "item" else (tuning["tile"] if most_items >= tuning["tile"] ** 2 else 8)
         self.adjoint_group = min(tuning["adjoint_waves"] * self.wave, self.tile**2)
         # an immediate allocation fails now, and not at a launch
         immediate = cl.tools.ImmediateAllocator(self.queue)
@@ -103,11 +111,14 @@ class Device:
         self._profile: list[tuple[str, cl.Event]] | None = None
         self._dtypes = {**SCALARS, "real": self.real.type}
         self._base_options = [
-            "-cl-std=CL1.2", "-cl-kernel-arg-info",
+            "-cl-std=CL1.2",
+            "-cl-kernel-arg-info",
             f"-DREAL_IS_DOUBLE={int(precision == 'double')}",
             f"-DFORM_ITEM={int(self.form == 'item')}",
             *([] if precision == "double" else ["-cl-single-precision-constant"]),
-            *(f"-D{name}=1" for name, has in self.capabilities.items() if has), *build_options]
+            *(f"-D{name}=1" for name, has in self.capabilities.items() if has),
+            *build_options,
+        ]
 
     # --- memory
 
@@ -121,8 +132,7 @@ class Device:
 
         Recordings need the same sizes again and again, so that their blocks are exact.
         """
-        return self._new(shape, dtype,
-                         partial(self._pool.allocate, exact=self._recording is not None))
+        return self._new(shape, dtype, partial(self._pool.allocate, exact=self._recording is not None))
 
     def result(self, shape: Shape, dtype: DTypeLike | None = None) -> Array:
         """As `empty`, for what is read after a recording, whose memory no other launch may use."""
@@ -152,8 +162,7 @@ class Device:
         """An uninitialised persistent Array, of its exact size."""
         return self._new(shape, dtype, self._new_block)
 
-    def _new(self, shape: Shape, dtype: DTypeLike | None,
-             allocate: Callable[[int], Block]) -> Array:
+    def _new(self, shape: Shape, dtype: DTypeLike | None, allocate: Callable[[int], Block]) -> Array:
         shape = tuple(map(int, shape)) if isinstance(shape, tuple) else (int(shape),)
         dtype = self.real if dtype is None else np.dtype(dtype)
         size = max(math.prod(shape) * dtype.itemsize, SMALLEST_BYTES)
@@ -177,12 +186,12 @@ class Device:
             raise OutOfDeviceMemory(
                 f"{self.name}: {TOO_LARGE}: no memory for {size >> 20} MiB more "
                 f"({self.memory_bytes >> 20} of {self.memory_limit >> 20} MiB in use): use a "
-                "larger --memory-budget, --max-gaussians or -r")
+                "larger --memory-budget, --max-gaussians or -r"
+            )
         return size
 
     def _new_block(self, size: int) -> Block:
-        block = Block(cl.Buffer(self.context, cl.mem_flags.READ_WRITE, self._limited(size)),
-                      self._freed)
+        block = Block(cl.Buffer(self.context, cl.mem_flags.READ_WRITE, self._limited(size)), self._freed)
         self._persistent_bytes += size
         return block
 
@@ -195,7 +204,8 @@ class Device:
         if size > limit:
             raise OutOfDeviceMemory(
                 f"{self.name}: {TOO_LARGE}: one buffer of {size >> 20} MiB is needed, the limit "
-                f"is {limit >> 20} MiB; use --max-gaussians or -r")
+                f"is {limit >> 20} MiB; use --max-gaussians or -r"
+            )
 
     def zeros(self, shape: Shape, dtype: DTypeLike | None = None) -> Array:
         """A persistent Array of zeros."""
@@ -301,11 +311,15 @@ class Device:
         file = kernel.file
         # without what the source does not name, which would compile the same program again
         defines = tuple((name, value) for name, value in defines if name in words_of(file))
-        contracts = [other.contract(self, defines) for other in Kernel.declared[file]
-                     if other.forms.of(self)]
+        contracts = [other.contract(self, defines) for other in Kernel.declared[file] if other.forms.of(self)]
         return (file, defines, len(contracts)), partial(
-            build, self.context, self.handle, kernel_source(file),
-            self._base_options + define_options(defines), contracts)
+            build,
+            self.context,
+            self.handle,
+            kernel_source(file),
+            self._base_options + define_options(defines),
+            contracts,
+        )
 
     def _built(self, kernel: Kernel, defines: Defines) -> cl.Kernel:
         file, contract = kernel.file, kernel.contract(self, defines)
@@ -315,15 +329,13 @@ class Device:
             try:
                 with warnings.catch_warnings():  # runtimes warn of every successful build
                     warnings.simplefilter("ignore", cl.CompilerWarning)
-                    self._programs[key] = (compiled() if ahead is None or ahead.cancelled()
-                                           else ahead.result())
+                    self._programs[key] = compiled() if ahead is None or ahead.cancelled() else ahead.result()
             except cl.Error as error:
                 raise DeviceError(f"{self.name}: {file} does not build:\n{error}") from None
         built = cl.Kernel(self._programs[key], kernel.function)
         contract.check_built(built)
         # the type of each argument that is a number, None for arrays
-        scalars = [self._dtypes[a] if isinstance(a, str) else None
-                   for a in contract.arguments.values()]
+        scalars = [self._dtypes[a] if isinstance(a, str) else None for a in contract.arguments.values()]
         built.set_scalar_arg_dtypes(scalars)
         self._spares[built] = scalars, []
         return built
@@ -345,8 +357,7 @@ class Device:
 
     @contextmanager
     def profile(self) -> Iterator[dict[str, list[float]]]:
-        """Collect the seconds of each launch by kernel function, in a dict that is filled on exit.
-        """
+        """Collect the seconds of each launch by kernel function, in a dict that is filled on exit."""
         if not self.queue.properties & cl.command_queue_properties.PROFILING_ENABLE:
             raise DeviceError(f"{self.name} was opened without profiling")
         launches: list[tuple[str, cl.Event]] = []

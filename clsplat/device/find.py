@@ -14,7 +14,8 @@ from clsplat.errors import DeviceError
 
 NO_DEVICE = (
     "no working OpenCL device; install one: `pip install intel-opencl-rt intel-cmplr-lib-rt` "
-    "(Linux, any x86-64 CPU), `apt-get install pocl-opencl-icd`, or your GPU vendor's driver")
+    "(Linux, any x86-64 CPU), `apt-get install pocl-opencl-icd`, or your GPU vendor's driver"
+)
 
 
 @dataclass
@@ -41,9 +42,11 @@ class ListedDevice:
         if self.handle is None:
             return "none needed, unless you expected one: then its driver is missing"
         if "Portable Computing" in self.platform and "target CPU" in self.reason:
-            return ("PyPI's PoCL is too old for this CPU: `pip uninstall "
-                    "pocl-binary-distribution`, then `apt-get install pocl-opencl-icd` or "
-                    "`pip install intel-opencl-rt intel-cmplr-lib-rt`")
+            return (
+                "PyPI's PoCL is too old for this CPU: `pip uninstall "
+                "pocl-binary-distribution`, then `apt-get install pocl-opencl-icd` or "
+                "`pip install intel-opencl-rt intel-cmplr-lib-rt`"
+            )
         return "update or reinstall this device's driver"
 
 
@@ -64,7 +67,8 @@ def list_devices() -> list[ListedDevice]:
                 "largest_buffer_bytes": handle.max_mem_alloc_size,
                 "local_bytes": handle.local_mem_size,
                 "opencl_c": handle.opencl_c_version.strip(),
-                **probe_capabilities(cl.Context([handle]), handle)}
+                **probe_capabilities(cl.Context([handle]), handle),
+            }
     if working := [entry for entry in _ranked(entries) if entry.works]:
         working[0].chosen = True
     return entries
@@ -81,9 +85,11 @@ def _enumerate() -> list[ListedDevice]:
         with suppress(cl.Error):
             handles = platform.get_devices()
         for handle in handles or [None]:
-            entries.append(ListedDevice(
-                len(entries), platform.name.strip(), handle.name.strip() if handle else "-",
-                _type(handle), handle))
+            entries.append(
+                ListedDevice(
+                    len(entries), platform.name.strip(), handle.name.strip() if handle else "-", _type(handle), handle
+                )
+            )
     return entries
 
 
@@ -98,6 +104,7 @@ def _type(handle: Handle | None) -> str:
 
 def _ranked(entries: Iterable[ListedDevice]) -> list[ListedDevice]:
     """Best first: a GPU if there is one (most memory first), else the fastest CPU runtime."""
+
     def rank(entry: ListedDevice) -> tuple[bool, bool, int, int]:
         label = entry.platform + entry.name
         emulated = any(word in label for word in ("Oclgrind", "FPGA", "llvmpipe"))
@@ -105,6 +112,7 @@ def _ranked(entries: Iterable[ListedDevice]) -> list[ListedDevice]:
         # Intel's compiler vectorises best on every x86-64 CPU we measured, then PoCL
         runtime = 2 * ("Intel" in entry.platform) + ("Portable" in entry.platform)
         return not emulated, entry.type == "gpu", memory, runtime
+
     return sorted((e for e in entries if e.handle is not None), key=rank, reverse=True)
 
 
@@ -131,8 +139,7 @@ def choose_handle(spec: str = "auto") -> Handle:
     elif spec in ("auto", "cpu", "gpu"):
         matching = [entry for entry in entries if spec in ("auto", entry.type)]
     else:
-        matching = [entry for entry in entries
-                    if spec.lower() in f"{entry.platform} {entry.name}".lower()]
+        matching = [entry for entry in entries if spec.lower() in f"{entry.platform} {entry.name}".lower()]
     skipped = []
     for entry in _ranked(matching):
         handle: Handle = entry.handle

@@ -80,10 +80,9 @@ class Graph:
         self.result: Any = None
         self.lasting: list[Array] = []
         self.inputs: dict[str, Any] = {
-            name: value if isinstance(value, Array) else Input(name, value)
-            for name, value in inputs.items()}
-        self._names = {id(value.buffer): name for name, value in inputs.items()
-                       if isinstance(value, Array)}
+            name: value if isinstance(value, Array) else Input(name, value) for name, value in inputs.items()
+        }
+        self._names = {id(value.buffer): name for name, value in inputs.items() if isinstance(value, Array)}
         # (list of arguments, index) at which an input stands
         self._places: dict[str, list[tuple[list[Any], int]]] = {name: [] for name in inputs}
         # (function, kernel or None for a fill, items, items a group, arguments, which are kept as
@@ -117,8 +116,9 @@ class Graph:
             kernel, spare = self.device.spare_kernel(kernel)
             self._bound.append((kernel, spare))
             kernel.set_args(*arguments)
-        self._commands.append((function, kernel, (ctypes.c_size_t * 1)(items),
-                               (ctypes.c_size_t * 1)(group), arguments, changes))
+        self._commands.append(
+            (function, kernel, (ctypes.c_size_t * 1)(items), (ctypes.c_size_t * 1)(group), arguments, changes)
+        )
 
     def replay(self, **inputs: Array | float) -> None:
         """Enqueue all commands again.
@@ -135,8 +135,7 @@ class Graph:
             raw: Any = value
             if isinstance(value, Array):
                 recorded = self.inputs[name]
-                if not isinstance(recorded, Array) or (
-                        value.shape != recorded.shape or value.dtype != recorded.dtype):
+                if not isinstance(recorded, Array) or (value.shape != recorded.shape or value.dtype != recorded.dtype):
                     raise ShapeError(f"input '{name}' has another shape or type than recorded")
                 raw = value.buffer
             for arguments, index in self._places[name]:
@@ -150,8 +149,7 @@ class Graph:
             else:
                 if changes:
                     kernel.set_args(*arguments)
-                if enqueue and not enqueue(pointer, kernel.int_ptr, 1, None, items, group, 0, None,
-                                           None):
+                if enqueue and not enqueue(pointer, kernel.int_ptr, 1, None, items, group, 0, None, None):
                     continue
                 event = cl.enqueue_nd_range_kernel(queue, kernel, tuple(items), tuple(group))
             if profile is not None:

@@ -26,11 +26,20 @@ Argument = str | tuple[Any, ...]  # see `Kernel`
 Defines = tuple[tuple[str, Any], ...]  # (name, value) of the constants of a build
 Factors = list[tuple[Any, Any]]  # of a size: quotients of two names or numbers
 SCALARS = {
-    "int": np.int32, "uint": np.uint32, "ulong": np.uint64, "float": np.float32,
-    "ushort": np.uint16, "uchar": np.uint8}
+    "int": np.int32,
+    "uint": np.uint32,
+    "ulong": np.uint64,
+    "float": np.float32,
+    "ushort": np.uint16,
+    "uchar": np.uint8,
+}
 DEVICE_SIZES = {  # name -> attribute of Device
-    "TILE": "tile", "SCAN_GROUP": "scan_group", "WAVE": "wave", "BUCKET": "bucket",
-    "ADJOINT_GROUP": "adjoint_group"}
+    "TILE": "tile",
+    "SCAN_GROUP": "scan_group",
+    "WAVE": "wave",
+    "BUCKET": "bucket",
+    "ADJOINT_GROUP": "adjoint_group",
+}
 
 
 class Only(NamedTuple):
@@ -104,21 +113,21 @@ class Kernel:
     # the kernels of each file whose modules were imported
     declared: ClassVar[dict[str, list[Kernel]]] = {}
 
-    def __init__(self, file: str, function: str, launch: Launch | Forms,
-                 **arguments: Argument | Only | Either) -> None:
+    def __init__(self, file: str, function: str, launch: Launch | Forms, **arguments: Argument | Only | Either) -> None:
         self.file, self.function = file, function
         self.launches = launch if isinstance(launch, Forms) else Forms(launch, launch)
         own = [argument for form in self.launches if form for argument in form.arguments.items()]
         # name of an argument that some builds lack -> the constant that it depends on
-        self.only = {name: argument.define for name, argument in (*arguments.items(), *own)
-                     if isinstance(argument, Only)}
-        self.choices = {argument.define for _, argument in (*arguments.items(), *own)
-                        if isinstance(argument, (Only, Either))}
+        self.only = {
+            name: argument.define for name, argument in (*arguments.items(), *own) if isinstance(argument, Only)
+        }
+        self.choices = {
+            argument.define for _, argument in (*arguments.items(), *own) if isinstance(argument, (Only, Either))
+        }
         self.arguments = arguments
         self._contracts: dict[tuple[str, frozenset[str]], Contract | None] = {}
         # those of a build that has all arguments
-        self.forms = Forms(*(self._contract(form, frozenset(self.only.values()))
-                             for form in Forms._fields))
+        self.forms = Forms(*(self._contract(form, frozenset(self.only.values())) for form in Forms._fields))
         self.names = {name for form in self.forms if form for name in form.arguments}
         self.declared.setdefault(file, []).append(self)
 
@@ -127,8 +136,9 @@ class Kernel:
 
     def contract(self, device: Device, defines: Defines) -> Contract:
         """What the device's form has in a build with these constants."""
-        contract = self._contract(device.form, frozenset(
-            name for name, value in defines if value and name in self.choices))
+        contract = self._contract(
+            device.form, frozenset(name for name, value in defines if value and name in self.choices)
+        )
         assert contract is not None, f"{self} has no {device.form} form"
         return contract
 
@@ -138,8 +148,7 @@ class Kernel:
             self._contracts[form, choices] = launch and Contract(self, launch, choices)
         return self._contracts[form, choices]
 
-    def bind(self, device: Device, values: Mapping[str, Any], defines: Defines = ()
-             ) -> tuple[list[Any], int, int]:
+    def bind(self, device: Device, values: Mapping[str, Any], defines: Defines = ()) -> tuple[list[Any], int, int]:
         """Check arguments, and put those of the device's form and of a build in their order.
 
         Parameters
@@ -176,28 +185,32 @@ class Contract:
     def __init__(self, kernel: Kernel, launch: Launch, choices: frozenset[str]) -> None:
         self.kernel, self.launch = kernel, launch
         self.arguments: dict[str, Argument] = {
-            name: argument.argument if isinstance(argument, Only) else
-            argument.of(choices) if isinstance(argument, Either) else argument
+            name: argument.argument
+            if isinstance(argument, Only)
+            else argument.of(choices)
+            if isinstance(argument, Either)
+            else argument
             for name, argument in {**kernel.arguments, **launch.arguments}.items()
-            if not isinstance(argument, Only) or argument.define in choices}
+            if not isinstance(argument, Only) or argument.define in choices
+        }
         # (name, dtype or None for the device's real, shape or None for a scalar)
         self._checks = [
-            (name, None, None) if isinstance(a, str) else
-            (name, None if a[0] == "real" else np.dtype(SCALARS[a[0]]), a[1:])
-            for name, a in self.arguments.items()]
-        self._fixed = {n: n for _, _, shape in self._checks for n in shape or ()
-                       if isinstance(n, int)}
+            (name, None, None)
+            if isinstance(a, str)
+            else (name, None if a[0] == "real" else np.dtype(SCALARS[a[0]]), a[1:])
+            for name, a in self.arguments.items()
+        ]
+        self._fixed = {n: n for _, _, shape in self._checks for n in shape or () if isinstance(n, int)}
         known = {name for name, a in self.arguments.items() if isinstance(a, str)}.union(
-            DEVICE_SIZES, *(shape for _, _, shape in self._checks if shape))
-        self._units, self._group = (self._factors(text, known)
-                                    for text in (launch.units, launch.group))
+            DEVICE_SIZES, *(shape for _, _, shape in self._checks if shape)
+        )
+        self._units, self._group = (self._factors(text, known) for text in (launch.units, launch.group))
 
     def _factors(self, text: str, known: set[Any]) -> Factors:
         """The names or numbers and their divisors in a size; DeviceError for an unknown name."""
         factors = []
         for word in text.split():
-            parts = [int(part) if part.isdigit() else SHARED.get(part, part)
-                     for part in (*word.split("/"), "1")]
+            parts = [int(part) if part.isdigit() else SHARED.get(part, part) for part in (*word.split("/"), "1")]
             if unknown := [part for part in parts if isinstance(part, str) and part not in known]:
                 raise DeviceError(f"{self.kernel}: '{unknown[0]}' of its launch is not an argument")
             factors.append((parts[0], parts[1]))
@@ -214,16 +227,14 @@ class Contract:
                 arguments.append(value)
                 continue
             if value.dtype != (dtype or real):
-                raise ShapeError(
-                    f"{self.kernel}: '{name}' is {value.dtype}, expected {dtype or real}")
+                raise ShapeError(f"{self.kernel}: '{name}' is {value.dtype}, expected {dtype or real}")
             fits = len(value.shape) == len(shape)
             for axis, length in zip(shape, value.shape):
                 if sizes.setdefault(axis, length) != length:
                     fits = False
             if not fits:
                 bound = {k: v for k, v in sizes.items() if isinstance(k, str)}
-                raise ShapeError(f"{self.kernel}: '{name}' has shape {value.shape}, expected "
-                                 f"{shape} where {bound}")
+                raise ShapeError(f"{self.kernel}: '{name}' has shape {value.shape}, expected {shape} where {bound}")
             arguments.append(value.buffer)
         return arguments, *self._work(device, sizes)
 
@@ -245,24 +256,23 @@ class Contract:
         return -(-units // group) * group, group
 
     def check_built(self, built: cl.Kernel) -> None:
-        """Compare with the compiler's signature; DeviceError where arguments differ or are swapped.
-        """
+        """Compare with the compiler's signature; DeviceError where arguments differ or are swapped."""
         if built.num_args != len(self.arguments):
-            raise DeviceError(f"{self.kernel}: it has {built.num_args} arguments, "
-                              f"{len(self.arguments)} are declared")
+            raise DeviceError(f"{self.kernel}: it has {built.num_args} arguments, {len(self.arguments)} are declared")
         try:
             found: list[tuple[Any, Any]] = [
-                (built.get_arg_info(index, cl.kernel_arg_info.NAME),
-                 built.get_arg_info(index, cl.kernel_arg_info.TYPE_NAME))
-                for index in range(built.num_args)]
+                (
+                    built.get_arg_info(index, cl.kernel_arg_info.NAME),
+                    built.get_arg_info(index, cl.kernel_arg_info.TYPE_NAME),
+                )
+                for index in range(built.num_args)
+            ]
         except cl.Error:  # a binary, or a driver that does not tell names
             return
-        for index, ((actual, kind), (name, argument)) in enumerate(
-                zip(found, self.arguments.items())):
+        for index, ((actual, kind), (name, argument)) in enumerate(zip(found, self.arguments.items())):
             declared = argument if isinstance(argument, str) else argument[0] + "*"
             if actual != name or not _same_type(kind, declared):
-                raise DeviceError(f"{self.kernel}: argument {index} is '{kind} {actual}', "
-                                  f"declared '{declared} {name}'")
+                raise DeviceError(f"{self.kernel}: argument {index} is '{kind} {actual}', declared '{declared} {name}'")
 
 
 def _product(factors: Factors, sizes: Mapping[Any, Any]) -> int:

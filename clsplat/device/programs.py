@@ -26,8 +26,9 @@ KEPT_DAYS = 60  # since its last use
 INCLUDE = re.compile(r'^#include "(.+)"$')
 
 
-def build(context: cl.Context, device: cl.Device, source: str, options: list[str],
-          contracts: Sequence[Contract]) -> Any:
+def build(
+    context: cl.Context, device: cl.Device, source: str, options: list[str], contracts: Sequence[Contract]
+) -> Any:
     """Compile a program for one device, or read it back from the cache.
 
     A binary has no names of arguments, which are needed to check a kernel's declaration. So only a
@@ -68,14 +69,19 @@ def _fits(program: cl.Program, contract: Contract) -> bool:
     return True
 
 
-def _file_of(device: cl.Device, source: str, options: list[str], contracts: Sequence[Contract]
-             ) -> Path | None:
-    """The file of this program; None for a platform with its own cache, or a user without a home.
-    """
+def _file_of(device: cl.Device, source: str, options: list[str], contracts: Sequence[Contract]) -> Path | None:
+    """The file of this program; None for a platform with its own cache, or a user without a home."""
     if device.platform.name not in PLATFORMS:
         return None
-    words = (source, options, sorted(f"{each.kernel} {each.arguments}" for each in contracts),
-             device.platform.version, device.name, device.version, device.driver_version)
+    words = (
+        source,
+        options,
+        sorted(f"{each.kernel} {each.arguments}" for each in contracts),
+        device.platform.version,
+        device.name,
+        device.version,
+        device.driver_version,
+    )
     try:
         return Path.home() / ".cache" / "clsplat" / "kernels" / _digest(repr(words).encode()).hex()
     except RuntimeError:  # a container's user who has no home
@@ -158,5 +164,7 @@ def define_options(pairs: Iterable[tuple[str, Any]]) -> list[str]:
 
     A float's repr reads back as the same double, or as the nearest float.
     """
-    return [f"-D{name}={value}{'u' * (isinstance(value, int) and value >= 2**31)}"
-            for name, value in {**SHARED, **dict(pairs)}.items()]
+    return [
+        f"-D{name}={value}{'u' * (isinstance(value, int) and value >= 2**31)}"
+        for name, value in {**SHARED, **dict(pairs)}.items()
+    ]

@@ -14,8 +14,11 @@ from clsplat.errors import InputError, reason
 
 TUNING = "CLSPLAT_TUNING"
 REPORTED: dict[str, Collection[Any]] = {  # by a device, and the values that there are
-    "kind": ("cpu", "gpu"), "wave": (32, 64), "compute_units": range(1, 1 << 31),
-    "local_bytes": range(1, 1 << 31)}
+    "kind": ("cpu", "gpu"),
+    "wave": (32, 64),
+    "compute_units": range(1, 1 << 31),
+    "local_bytes": range(1, 1 << 31),
+}
 SIZES: dict[str, Collection[int]] = {  # and the values for which kernels are written
     # work-items a core of the item form's FOR_EACH, as cores are not equally busy
     "item_runs": (1, 2, 4, 8, 16),
@@ -25,7 +28,8 @@ SIZES: dict[str, Collection[int]] = {  # and the values for which kernels are wr
     "scan_group": (64, 128, 256),
     "tile": (8, 16),  # pixels, the width and height of a tile of the group form
     "bucket": (32, 64, 128),  # pairs for which one group of the blend adjoint works
-    "adjoint_waves": (1, 2, 4)}  # waves of that group
+    "adjoint_waves": (1, 2, 4),
+}  # waves of that group
 CURE = f"write it with `clsplat bench tune`, or unset {TUNING}"
 
 
@@ -39,11 +43,11 @@ def tuning_of(kind: str, wave: int, compute_units: int = 0, local_bytes: int = 0
     compute_units : cores, or what a GPU has of them; 0: unknown.
     local_bytes : local memory of a group; 0: unknown.
     """
-    reported = {"kind": kind, "wave": wave, "compute_units": compute_units,
-                "local_bytes": local_bytes}
+    reported = {"kind": kind, "wave": wave, "compute_units": compute_units, "local_bytes": local_bytes}
     ours = read_rows(Path(__file__).with_suffix(".json"))
-    row = next(row for row in (*user_rows(), *ours)
-               if all(row.get(name, value) == value for name, value in reported.items()))
+    row = next(
+        row for row in (*user_rows(), *ours) if all(row.get(name, value) == value for name, value in reported.items())
+    )
     return {name: row[name] for name in SIZES}
 
 
@@ -58,8 +62,7 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
     try:
         table = json.loads(path.read_text("utf-8"))
         rows = table["rows"]
-        faults = [f"row {number} {fault}" for number, row in enumerate(rows, 1)
-                  if (fault := fault_of(row))]
+        faults = [f"row {number} {fault}" for number, row in enumerate(rows, 1) if (fault := fault_of(row))]
     except OSError as error:
         raise InputError(f"{path}: {reason(error)}; {CURE}") from None
     except (ValueError, KeyError, TypeError, RecursionError):
@@ -83,6 +86,6 @@ def fault_of(row: object) -> str:
         # 16.0 is in (8, 16), and True in (1, 2)
         if type(value) is not type(next(iter(values))) or value not in values:
             return f"has {name} {json.dumps(value)[:40]}, which is " + (
-                "not a whole number above 0" if isinstance(values, range)
-                else f"none of {', '.join(map(str, values))}")
+                "not a whole number above 0" if isinstance(values, range) else f"none of {', '.join(map(str, values))}"
+            )
     return ""

@@ -24,8 +24,7 @@ MOST_OPACITY = 0.99  # of a merged gaussian, as in the renderer
 TINY = 1e-300
 
 
-def decimated(gaussians: Gaussians, count: int,
-              progress: Callable[[int, int], object] | None = None) -> Gaussians:
+def decimated(gaussians: Gaussians, count: int, progress: Callable[[int, int], object] | None = None) -> Gaussians:
     """A model of fewer gaussians that looks almost the same.
 
     Neighbours of similar colour and size are merged, faint and small ones first. A merged
@@ -52,10 +51,18 @@ def decimated(gaussians: Gaussians, count: int,
 def _mixture(gaussians: Gaussians) -> NDArray[Any]:
     """A table of the gaussians. `source`: the row of the model that it was, or one of these; `mass`
     : opacity times area, how much of an image it covers."""
-    mixture = np.zeros(gaussians.count, [
-        ("source", np.intp), ("is_merged", bool), ("position", np.float64, 3),
-        ("covariance", np.float64, (3, 3)), ("opacity", np.float64), ("mass", np.float64),
-        ("sh", np.float32, (1 + gaussians.sh_rest.shape[1], 3))])
+    mixture = np.zeros(
+        gaussians.count,
+        [
+            ("source", np.intp),
+            ("is_merged", bool),
+            ("position", np.float64, 3),
+            ("covariance", np.float64, (3, 3)),
+            ("opacity", np.float64),
+            ("mass", np.float64),
+            ("sh", np.float32, (1 + gaussians.sh_rest.shape[1], 3)),
+        ],
+    )
     axes, sigmas = half_axes(gaussians), np.exp(gaussians.log_scales.astype(np.float64))
     mixture["source"] = np.arange(gaussians.count)
     mixture["position"] = gaussians.positions
@@ -81,7 +88,8 @@ def _cheapest_pairs(mixture: NDArray[Any], most: int) -> tuple[NDArray[np.intp],
     cost = (price + TINY) * (
         apart / (size[one] + size[other])
         + COLOUR_WEIGHT * ((colours[one] - colours[other]) ** 2).sum(axis=1)
-        + SIZE_WEIGHT * np.log(size[one] / size[other]) ** 2)
+        + SIZE_WEIGHT * np.log(size[one] / size[other]) ** 2
+    )
     order = np.argsort(cost, kind="stable")
     one, other, place = one[order], other[order], np.arange(len(order))
     # a pair is taken if it is the cheapest of both its ends
@@ -123,6 +131,5 @@ def _model(gaussians: Gaussians, mixture: NDArray[Any]) -> Gaussians:
     rows["sh_constant"][at], rows["sh_rest"][at] = new["sh"][:, 0], new["sh"][:, 1:]
     rows["opacity_logits"][at] = scipy.special.logit(np.maximum(new["opacity"], TINY))
     rows["log_scales"][at] = np.log(np.maximum(variances, np.finfo(np.float32).tiny)) / 2
-    rows["quaternions"][at] = scipy.spatial.transform.Rotation.from_matrix(
-        axes).as_quat()[:, [3, 0, 1, 2]]
+    rows["quaternions"][at] = scipy.spatial.transform.Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
     return Gaussians(rows, gaussians.sh_degree, gaussians.offset)

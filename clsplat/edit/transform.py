@@ -15,8 +15,12 @@ DIRECTIONS = np.random.default_rng(0).normal(size=(32, 3))
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 
 
-def transformed(gaussians: Gaussians, scale: float = 1.0, rotation: ArrayLike | None = None,
-                translation: ArrayLike = (0.0, 0.0, 0.0)) -> Gaussians:
+def transformed(
+    gaussians: Gaussians,
+    scale: float = 1.0,
+    rotation: ArrayLike | None = None,
+    translation: ArrayLike = (0.0, 0.0, 0.0),
+) -> Gaussians:
     """The gaussians at `translation` + `scale` * `rotation` @ original coordinates.
 
     Parameters
@@ -42,13 +46,13 @@ def transformed(gaussians: Gaussians, scale: float = 1.0, rotation: ArrayLike | 
             rows["sh_rest"] = rotated(moved.sh_rest, matrix)
         offset = scale * matrix @ gaussians.offset + np.asarray(translation, np.float64)
         far = np.abs(rows["positions"].astype(np.float64)).max(axis=0, initial=0.0) + np.abs(offset)
-    before, after = (np.abs(scales) > LARGEST_LOG
-                     for scales in (gaussians.log_scales, rows["log_scales"]))
+    before, after = (np.abs(scales) > LARGEST_LOG for scales in (gaussians.log_scales, rows["log_scales"]))
     if (after & ~before).any() or not (far < SINGLE.max).all():
-        raise InputError(f"{gaussians.count:,} gaussians: after this --scale, --rotate and "
-                         f"--translate coordinates or sizes are beyond {SINGLE.tiny:.0e} to "
-                         f"{SINGLE.max:.0e}, which single precision holds; give numbers nearer to 1"
-                         )
+        raise InputError(
+            f"{gaussians.count:,} gaussians: after this --scale, --rotate and "
+            f"--translate coordinates or sizes are beyond {SINGLE.tiny:.0e} to "
+            f"{SINGLE.max:.0e}, which single precision holds; give numbers nearer to 1"
+        )
     return Gaussians(rows, moved.sh_degree, offset)
 
 
@@ -56,7 +60,8 @@ def half_axes(gaussians: Gaussians) -> NDArray[np.float64]:
     """float64[N, 3, 3]: the principal axes of the gaussians in columns, as long as their standard
     deviations, so that a covariance is the product with the transposed."""
     axes: NDArray[np.float64] = scipy.spatial.transform.Rotation.from_quat(
-        unit(gaussians.quaternions)[:, [1, 2, 3, 0]]).as_matrix()
+        unit(gaussians.quaternions)[:, [1, 2, 3, 0]]
+    ).as_matrix()
     return axes * np.exp(gaussians.log_scales.astype(np.float64))[:, None]
 
 
@@ -65,16 +70,26 @@ def harmonics(directions: NDArray[np.floating]) -> NDArray[np.float64]:
     and sign of 3DGS (cl/include/harmonics.h)."""
     x, y, z = np.asarray(directions, np.float64).T
     xx, yy, zz = x * x, y * y, z * z
-    return np.stack([
-        -0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x,
-        1.0925484305920792 * x * y, -1.0925484305920792 * y * z,
-        0.31539156525252005 * (2 * zz - xx - yy), -1.0925484305920792 * x * z,
-        0.5462742152960396 * (xx - yy),
-        -0.5900435899266435 * y * (3 * xx - yy), 2.890611442640554 * x * y * z,
-        -0.4570457994644658 * y * (4 * zz - xx - yy),
-        0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy),
-        -0.4570457994644658 * x * (4 * zz - xx - yy), 1.445305721320277 * z * (xx - yy),
-        -0.5900435899266435 * x * (xx - 3 * yy)], axis=1)
+    return np.stack(
+        [
+            -0.4886025119029199 * y,
+            0.4886025119029199 * z,
+            -0.4886025119029199 * x,
+            1.0925484305920792 * x * y,
+            -1.0925484305920792 * y * z,
+            0.31539156525252005 * (2 * zz - xx - yy),
+            -1.0925484305920792 * x * z,
+            0.5462742152960396 * (xx - yy),
+            -0.5900435899266435 * y * (3 * xx - yy),
+            2.890611442640554 * x * y * z,
+            -0.4570457994644658 * y * (4 * zz - xx - yy),
+            0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy),
+            -0.4570457994644658 * x * (4 * zz - xx - yy),
+            1.445305721320277 * z * (xx - yy),
+            -0.5900435899266435 * x * (xx - 3 * yy),
+        ],
+        axis=1,
+    )
 
 
 def rotated(sh_rest: NDArray[np.floating], rotation: NDArray[np.floating]) -> NDArray[np.float32]:

@@ -46,6 +46,7 @@ MOST_PIXELS = 2e6  # of an image in a trial step; larger images are extrapolated
 DETAIL_VIEWS = 8  # of whose photos the detail is measured
 DENSE_A_PIXEL = 1.6  # points, of the photos as they are searched for them: 1.4 and 2.0 on two sets
 
+
 @dataclass(frozen=True)
 class Memory:
     """Bytes of device memory."""
@@ -73,8 +74,7 @@ class Forecast:
     photos: str  # a sentence about whether photos stay on the device
 
 
-def forecast(prepared: PreparedScene, device: Device, progress: SilentProgress | None = None
-             ) -> Forecast:
+def forecast(prepared: PreparedScene, device: Device, progress: SilentProgress | None = None) -> Forecast:
     """Forecast a training; this takes some real steps on the device.
 
     Raises DeviceError where these steps, or those to come, do not fit the device.
@@ -92,9 +92,10 @@ def forecast(prepared: PreparedScene, device: Device, progress: SilentProgress |
     segments = simulate(prepared.schedule(gaussians, options, count), detail)
     trials = take_trials(device, prepared, count, segments, progress)
     seconds = predicted_seconds(trials, views, segments)
-    ends = [(segment.level, segment.gaussians,
-             predicted_seconds(trials, views, [replace(segment, steps=1)]))
-            for segment in (segments[0], segments[-1])]
+    ends = [
+        (segment.level, segment.gaussians, predicted_seconds(trials, views, [replace(segment, steps=1)]))
+        for segment in (segments[0], segments[-1])
+    ]
     progress.phase("planning: timing the search for dense points")
     seconds += start_seconds(device, prepared)
     if options.time_budget:
@@ -104,47 +105,50 @@ def forecast(prepared: PreparedScene, device: Device, progress: SilentProgress |
         seconds = budget
     memory = predicted_memory(device, prepared, gaussians.rows, count, segments, trials)
     waits = len({segment.level for segment in segments}) > 1 or not memory.resident
-    return Forecast(options.iterations, largest(segments), memory, seconds, ends,
-                    _photos(device, views, memory.resident, waits))
+    return Forecast(
+        options.iterations, largest(segments), memory, seconds, ends, _photos(device, views, memory.resident, waits)
+    )
 
 
 def _dense_count(prepared: PreparedScene) -> int:
     """About how many dense points will be found: as many as are wanted, or as photos that overlap
     much show places."""
     facts = prepared.decisions.facts
-    searched = sum(view.camera.width * view.camera.height
-                   for view in with_side(prepared.train_views, SMALL_SIDE))
-    return facts.count if math.isnan(facts.shown_in) else min(
-        facts.count, int(DENSE_A_PIXEL * searched / facts.shown_in))
+    searched = sum(view.camera.width * view.camera.height for view in with_side(prepared.train_views, SMALL_SIDE))
+    return (
+        facts.count if math.isnan(facts.shown_in) else min(facts.count, int(DENSE_A_PIXEL * searched / facts.shown_in))
+    )
 
 
 def _photos(device: Device, views: Sequence[View], resident: bool, waits: bool) -> str:
     size = 3 * sum(v.camera.width * v.camera.height for v in views) / MIB
     place = "it" if size * MIB <= photo_store.IN_MEMORY_BYTES else "a file beside the run"
     allowed = photo_store.DEVICE_SHARE * device.memory_limit / MIB
-    return (f"{'resident' if resident else 'streamed'}: {size:,.0f} MiB at full size, "
-            f"{allowed:,.0f} may stay on the device; reading takes up to "
-            f"{photo_store.reading_bytes(views) / MIB:,.0f} of the host's memory"
-            + f", and photos that wait up to {size:,.0f} more in {place}" * waits)
+    return (
+        f"{'resident' if resident else 'streamed'}: {size:,.0f} MiB at full size, "
+        f"{allowed:,.0f} may stay on the device; reading takes up to "
+        f"{photo_store.reading_bytes(views) / MIB:,.0f} of the host's memory"
+        + f", and photos that wait up to {size:,.0f} more in {place}"
+        * waits
+    )
 
 
-def take_trials(device: Device, prepared: PreparedScene, gaussians: int,
-                segments: Sequence[Segment], progress: SilentProgress) -> NDArray[np.float64]:
+def take_trials(
+    device: Device, prepared: PreparedScene, gaussians: int, segments: Sequence[Segment], progress: SilentProgress
+) -> NDArray[np.float64]:
     """Take steps at the sizes of `tried_sizes` for an initial number of gaussians.
 
     Returns a row for each: the mean pixels of an image, gaussians, seconds of a step, and bytes of
     device memory beside the model and the photos."""
     regularises = any(segment.regularises for segment in segments)
     trials = []
-    for level, count in tried_sizes(prepared.train_views, gaussians, segments,
-                                    MOST_GAUSSIANS.of(device)):
+    for level, count in tried_sizes(prepared.train_views, gaussians, segments, MOST_GAUSSIANS.of(device)):
         progress.phase(f"planning: timing steps at {size_at(level)}, {count:,} gaussians")
         trials.append(_take_trial(device, prepared, level, count, regularises))
     return np.array(trials)
 
 
-def tried_sizes(views: Sequence[View], count: int, segments: Sequence[Segment],
-                most: int) -> list[tuple[float, int]]:
+def tried_sizes(views: Sequence[View], count: int, segments: Sequence[Segment], most: int) -> list[tuple[float, int]]:
     """The (level, gaussians) of trial steps.
 
     These are the first and the last level of the run, each with `count` gaussians and with more, at
@@ -158,20 +162,23 @@ def tried_sizes(views: Sequence[View], count: int, segments: Sequence[Segment],
     smaller = math.sqrt(pixels(views, 1.0) / MOST_PIXELS)
     if smaller > last:
         first, last = max(first, 2 * smaller), smaller
-    return sorted({(first, few), (first, min(many, most_first)), (last, few), (last, many)},
-                  reverse=True)
+    return sorted({(first, few), (first, min(many, most_first)), (last, few), (last, many)}, reverse=True)
 
 
-def _take_trial(device: Device, prepared: PreparedScene, level: float, count: int,
-                regularises: bool) -> tuple[float, int, float, int]:
+def _take_trial(
+    device: Device, prepared: PreparedScene, level: float, count: int, regularises: bool
+) -> tuple[float, int, float, int]:
     views = at_level(prepared.train_views, level)
     renderer = Renderer(device, 0, prepared.near, prepared.options.antialiased)
     chosen = spread_out(len(views), TIMED_VIEWS)
-    gaussians = sized(sampled(prepared.scene, count, prepared.options.sh_degree), renderer,
-                      [views[index].camera for index in chosen])
+    gaussians = sized(
+        sampled(prepared.scene, count, prepared.options.sh_degree), renderer, [views[index].camera for index in chosen]
+    )
     rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
-    fullest = max(spread_out(len(views), COUNTED_VIEWS), key=lambda index: len(renderer.visible(
-        rows, renderer.pack(views[index].camera))))
+    fullest = max(
+        spread_out(len(views), COUNTED_VIEWS),
+        key=lambda index: len(renderer.visible(rows, renderer.pack(views[index].camera))),
+    )
     device.trim()
     before = device.memory_bytes
     photos = SizedPhotos(device, prepared.train_views, level)
@@ -181,8 +188,7 @@ def _take_trial(device: Device, prepared: PreparedScene, level: float, count: in
     for step in steps:  # compile kernels and fill the pool
         step()
     trial.finish()
-    nbytes = (device.memory_bytes - before - photos.nbytes
-              - sum(_model_bytes(device, prepared, gaussians.rows, count)))
+    nbytes = device.memory_bytes - before - photos.nbytes - sum(_model_bytes(device, prepared, gaussians.rows, count))
     turns, each = itertools.cycle(steps[1:]), []
     for _ in range(REPEATS):
         begin, taken = time.perf_counter(), 0
@@ -194,25 +200,21 @@ def _take_trial(device: Device, prepared: PreparedScene, level: float, count: in
     return pixels(prepared.train_views, level), count, float(np.median(each)), max(1, nbytes)
 
 
-def fitted(image: NDArray[np.float64], count: NDArray[np.float64], cost: NDArray[np.float64]
-           ) -> NDArray[np.float64]:
+def fitted(image: NDArray[np.float64], count: NDArray[np.float64], cost: NDArray[np.float64]) -> NDArray[np.float64]:
     """Fit (a, b, c) >= 0 to costs [N] at pixels and gaussians [N], by relative errors.
 
     Images of a single size determine only a + b * pixels.
     """
     columns = np.stack([np.ones_like(image), image / image.max(), count / count.max()], axis=1)
-    solution: NDArray[np.float64] = scipy.optimize.nnls(
-        columns / cost[:, None], np.ones_like(cost))[0]
+    solution: NDArray[np.float64] = scipy.optimize.nnls(columns / cost[:, None], np.ones_like(cost))[0]
     solution /= np.array([1, image.max(), count.max()])
     return solution
 
 
-def predicted_seconds(trials: NDArray[np.float64], views: Sequence[View],
-                      segments: Sequence[Segment]) -> float:
+def predicted_seconds(trials: NDArray[np.float64], views: Sequence[View], segments: Sequence[Segment]) -> float:
     """Seconds of a run without evaluations, files and compilation, from steps that were timed."""
     cost = fitted(*trials.T[:3])
-    return float(sum(s.steps * np.dot(cost, (1, pixels(views, s.level), s.gaussians))
-                     for s in segments))
+    return float(sum(s.steps * np.dot(cost, (1, pixels(views, s.level), s.gaussians)) for s in segments))
 
 
 def pixels(views: Sequence[View], level: float) -> float:
@@ -227,16 +229,22 @@ def photo_detail(views: Sequence[View], level: float) -> float:
     for some evenly spaced views.
     """
     lost = []
-    for photo in decoded(at_level(views[::-(-len(views) // DETAIL_VIEWS)], level)):
+    for photo in decoded(at_level(views[:: -(-len(views) // DETAIL_VIEWS)], level)):
         height, width = (size // 2 for size in photo.shape[1:])
-        even = photo[:3, :2 * height, :2 * width] / np.float32(255)
+        even = photo[:3, : 2 * height, : 2 * width] / np.float32(255)
         blocks = even.reshape(3, height, 2, width, 2)
         lost.append(np.abs(blocks - blocks.mean(axis=(2, 4), keepdims=True)).mean())
     return float(np.mean(lost))
 
 
-def predicted_memory(device: Device, prepared: PreparedScene, names: Iterable[str], count: int,
-                     segments: Sequence[Segment], trials: NDArray[np.float64]) -> Memory:
+def predicted_memory(
+    device: Device,
+    prepared: PreparedScene,
+    names: Iterable[str],
+    count: int,
+    segments: Sequence[Segment],
+    trials: NDArray[np.float64],
+) -> Memory:
     """Predict the device memory of a training; DeviceError if an array would be too large.
 
     Parameters
@@ -247,8 +255,9 @@ def predicted_memory(device: Device, prepared: PreparedScene, names: Iterable[st
     trials : see `take_trials`.
     """
     cost = fitted(*trials.T[[0, 1, 3]])
-    photos = {level: photo_bytes(device, prepared.train_views, level)
-              for level in {segment.level for segment in segments}}
+    photos = {
+        level: photo_bytes(device, prepared.train_views, level) for level in {segment.level for segment in segments}
+    }
     total, steps = 0, 0
     names = list(names)
     model = _model_bytes(device, prepared, names, count)
@@ -256,34 +265,41 @@ def predicted_memory(device: Device, prepared: PreparedScene, names: Iterable[st
         nbytes, _ = photos[segment.level]
         grown = _model_bytes(device, prepared, names, segment.gaussians)
         if grown != model:  # each array is replaced in turn
-            total = max(total, nbytes + max(sum(grown[:place + 1]) + sum(model[place:])
-                                            for place in range(len(model))))
+            total = max(
+                total, nbytes + max(sum(grown[: place + 1]) + sum(model[place:]) for place in range(len(model)))
+            )
         frame = np.dot(cost, (1, pixels(prepared.train_views, segment.level), segment.gaussians))
         model, steps = grown, max(steps, nbytes + int(frame) + sum(grown))
     # an evaluation copies rows and moments that a view sees, the mean of the last steps has sums
     copied = int(_most_seen(prepared) * sum(model))
-    learned = Model.arrays([field.name for field in LEARNED], prepared.options.sh_degree,
-                           segments[-1].gaussians)
+    learned = Model.arrays([field.name for field in LEARNED], prepared.options.sh_degree, segments[-1].gaussians)
     sums = sum(spec.nbytes(device.real) for spec in learned.values())
-    total = max(total, nbytes + int(frame) + sum(model) + copied
-                + (prepared.options.average > 0) * sums)
+    total = max(total, nbytes + int(frame) + sum(model) + copied + (prepared.options.average > 0) * sums)
     total, limit, waits = max(total, steps), device.memory_limit, 0
     if total > limit and is_pageable(prepared.options):
         count = max(segment.gaussians for segment in segments)
-        total, steps, waits = limit, min(steps, limit), sum(
-            spec.nbytes(device.real) for spec in paged_arrays(prepared.options, count))
-    return Memory(total, steps, max(nbytes * resident for nbytes, resident in photos.values()),
-                  all(resident for _, resident in photos.values()), sum(model), waits)
+        total, steps, waits = (
+            limit,
+            min(steps, limit),
+            sum(spec.nbytes(device.real) for spec in paged_arrays(prepared.options, count)),
+        )
+    return Memory(
+        total,
+        steps,
+        max(nbytes * resident for nbytes, resident in photos.values()),
+        all(resident for _, resident in photos.values()),
+        sum(model),
+        waits,
+    )
 
 
 def _most_seen(prepared: PreparedScene) -> float:
     """The largest share of the sparse points that one view has in its image, occluded or not."""
     points, views = prepared.scene.points, prepared.test_views or prepared.train_views
-    points, shares = points[::max(1, -(-len(points) // MOST_SAMPLED))], []
-    for view in views[::-(-len(views) // COUNTED_VIEWS)]:
+    points, shares = points[:: max(1, -(-len(points) // MOST_SAMPLED))], []
+    for view in views[:: -(-len(views) // COUNTED_VIEWS)]:
         (x, y), depth = (each.T for each in view.camera.project(points))
-        shares.append(((depth > 0) & (x > 0) & (x < view.camera.width)
-                       & (y > 0) & (y < view.camera.height)).mean())
+        shares.append(((depth > 0) & (x > 0) & (x < view.camera.width) & (y > 0) & (y < view.camera.height)).mean())
     return float(max(shares))
 
 
@@ -295,8 +311,7 @@ def photo_bytes(device: Device, views: Sequence[View], level: float) -> tuple[in
     return sum(sizes) if stay else max(sizes), stay
 
 
-def _model_bytes(device: Device, prepared: PreparedScene, names: Iterable[str], count: int
-                 ) -> list[int]:
+def _model_bytes(device: Device, prepared: PreparedScene, names: Iterable[str], count: int) -> list[int]:
     """Bytes of the arrays of rows and moments, in the order in which growth replaces them."""
     options = prepared.options
     rows = Model.arrays(names, options.sh_degree, count)

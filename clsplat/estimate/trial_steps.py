@@ -29,9 +29,16 @@ class TrialSteps:
 
     def __init__(self, session: Session) -> None:
         self.session = session
-        self.plan = Plan(level=session.level, degree=session.options.sh_degree, gathers=True,
-                         grows=False, resets_opacity=False, prunes_large=False, decay=0.0,
-                         regularises=0.0)
+        self.plan = Plan(
+            level=session.level,
+            degree=session.options.sh_degree,
+            gathers=True,
+            grows=False,
+            resets_opacity=False,
+            prunes_large=False,
+            decay=0.0,
+            regularises=0.0,
+        )
 
     def prepare(self, index: int, regularises: bool = False) -> Callable[[], object]:
         """Return a function that takes a step on a view, whose photo is on the device already.
@@ -44,6 +51,7 @@ class TrialSteps:
         def take() -> object:
             session.iteration += 1
             return session.step.run(session.iteration, plan, samples)
+
         return take
 
     def finish(self) -> None:

@@ -33,8 +33,7 @@ FIRST_RATE, LAST_RATE = 0.25, 0.0025  # pixels a step in the middle of the photo
 MOST_FITTED = 1 << 16  # pixels of which the colours are fitted
 
 
-def aligned(renderer: ModelRenderer, rows: Any, degree: int, view: View, depth: float
-            ) -> Correction:
+def aligned(renderer: ModelRenderer, rows: Any, degree: int, view: View, depth: float) -> Correction:
     """The correction of a view's pose with which a model looks most like its photo.
 
     STEPS steps of Adam on the pose against the loss of training; the colours of the render follow
@@ -52,8 +51,9 @@ def aligned(renderer: ModelRenderer, rows: Any, degree: int, view: View, depth: 
     InputError : the model is larger than the device's memory.
     """
     if not isinstance(renderer, Renderer):
-        raise InputError("poses cannot be aligned: the model is larger than the memory of the "
-                         "device; leave --align out")
+        raise InputError(
+            "poses cannot be aligned: the model is larger than the memory of the device; leave --align out"
+        )
     device, camera, weight = renderer.device, view.camera, ImageLossOptions.ssim_weight
     size = camera.width, camera.height
     pixels, valid = read_photo(view), read_valid(view)
@@ -66,8 +66,7 @@ def aligned(renderer: ModelRenderer, rows: Any, degree: int, view: View, depth: 
         frame = renderer.render(rows, corrected, *size, degree, exposure=colours.of(0, corrected))
         if step % COLOUR_EVERY == 0:
             colours.transforms.write(_affine(frame.image, pixels, valid))
-            frame = renderer.render(rows, corrected, *size, degree,
-                                    exposure=colours.of(0, corrected))
+            frame = renderer.render(rows, corrected, *size, degree, exposure=colours.of(0, corrected))
         partials, grad = image_loss(device, frame.exposed, photo, weight)
         if step % STEPS == 0:
             losses.append(loss_value(partials, 3 * size[0] * size[1], weight)[0])
@@ -75,19 +74,18 @@ def aligned(renderer: ModelRenderer, rows: Any, degree: int, view: View, depth: 
             grad, _ = colours.adjoint(0, corrected, frame.image, grad)
             gradients = renderer.adjoint(rows, frame, grad, with_pose=True)
             assert gradients.pose_terms is not None
-            rate = FIRST_RATE * (LAST_RATE / FIRST_RATE)**(step / (STEPS - 1)) / camera.focal[0]
+            rate = FIRST_RATE * (LAST_RATE / FIRST_RATE) ** (step / (STEPS - 1)) / camera.focal[0]
             poses.step(0, rate, packed, gradients.pose_terms, frame.counts)
     if not losses[-1] < losses[0]:
         return Correction(np.zeros(3), np.zeros(3))
     return poses.corrections()[0]
 
 
-def _affine(image: Array, photo: NDArray[np.uint8], valid: NDArray[np.bool_] | None
-            ) -> NDArray[np.float64]:
+def _affine(image: Array, photo: NDArray[np.uint8], valid: NDArray[np.bool_] | None) -> NDArray[np.float64]:
     """float64[1, 12], the affine map of colours that brings an image closest to its photo."""
     colours = image.download().reshape(3, -1).T.astype(np.float64)
     kept = np.arange(len(colours)) if valid is None else np.flatnonzero(valid)
-    kept = kept[::-(-len(kept) // MOST_FITTED)]
+    kept = kept[:: -(-len(kept) // MOST_FITTED)]
     known = np.column_stack([colours[kept], np.ones(len(kept))])
     weights = np.linalg.lstsq(known, photo.reshape(-1, 3)[kept] / 255.0, rcond=None)[0]
     return np.reshape(weights.T, (1, TRANSFORM_REALS))

@@ -37,12 +37,13 @@ class Predicted:
     weight: float = 0.0
 
     def __str__(self) -> str:
-        return (f"{self.weight:.0%} interpolated between the training photos before and after, "
-                f"{1 - self.weight:.0%} their mean")
+        return (
+            f"{self.weight:.0%} interpolated between the training photos before and after, "
+            f"{1 - self.weight:.0%} their mean"
+        )
 
 
-def predicted_responses(views: Iterable[View], learned: Mapping[str, Response] | None
-                        ) -> Predicted | None:
+def predicted_responses(views: Iterable[View], learned: Mapping[str, Response] | None) -> Predicted | None:
     """The responses of all views of a scene from those of training views by name; None where the
     training learned none."""
     ordered = sorted(views, key=lambda view: _in_order(view.name))
@@ -53,9 +54,10 @@ def predicted_responses(views: Iterable[View], learned: Mapping[str, Response] |
     mean, weight = transforms.mean(axis=0), _weight(np.array(known), transforms)
     between = _interpolated(np.arange(len(ordered)), np.array(known), transforms)
     lenses = {lens_kind(ordered[place].camera): learned[ordered[place].name] for place in known}
-    responses = {view.name: replace(lenses.get(lens_kind(view.camera), Response()),
-                                    transform=mean + weight * (transform - mean))
-                 for view, transform in zip(ordered, between)}
+    responses = {
+        view.name: replace(lenses.get(lens_kind(view.camera), Response()), transform=mean + weight * (transform - mean))
+        for view, transform in zip(ordered, between)
+    }
     return Predicted({**responses, **learned}, weight)
 
 
@@ -66,23 +68,29 @@ def _weight(places: NDArray[np.integer], transforms: NDArray[np.float64]) -> flo
     if count < FEWEST_PHOTOS:
         return 0.0
     means = (transforms.sum(axis=0) - transforms) / (count - 1)
-    away = np.array([_interpolated(place, np.delete(places, index), np.delete(transforms, index, 0))
-                     for index, place in enumerate(places)]) - means
+    away = (
+        np.array(
+            [
+                _interpolated(place, np.delete(places, index), np.delete(transforms, index, 0))
+                for index, place in enumerate(places)
+            ]
+        )
+        - means
+    )
     square = float(np.vdot(away, away))
     if square <= ROUNDING * count:
         return 0.0
     return min(1.0, max(0.0, float(np.vdot(away, transforms - means)) / square))
 
 
-def _interpolated(at: NDArray[np.integer], places: NDArray[np.integer],
-                 transforms: NDArray[np.float64]) -> NDArray[np.float64]:
+def _interpolated(
+    at: NDArray[np.integer], places: NDArray[np.integer], transforms: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """float64[..., 3, 4], linear between the neighbours; that of the nearest at the ends."""
     columns = transforms.reshape(len(transforms), -1).T
-    return np.stack([np.interp(at, places, column) for column in columns],
-                    axis=-1).reshape(*np.shape(at), 3, 4)
+    return np.stack([np.interp(at, places, column) for column in columns], axis=-1).reshape(*np.shape(at), 3, 4)
 
 
 def _in_order(name: str) -> list[tuple[int, int, str]]:
     """A key that sorts photo_9 before photo_10, as cameras number them in time."""
-    return [(0, int(part), "") if part.isdecimal() else (1, 0, part)
-            for part in re.split(r"(\d+)", name)]
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", name)]

@@ -53,7 +53,8 @@ def ssim(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> float:
         raise InputError(
             f"an image of {width}x{height} pixels is smaller than the {SSIM_WINDOW}x{SSIM_WINDOW} "
             "window of SSIM; use larger photos, by a smaller --downscale or a larger "
-            "--max-resolution")
+            "--max-resolution"
+        )
     counted: Any = slice(SIDE, -SIDE), slice(SIDE, -SIDE)
     if valid is not None:
         whole = scipy.ndimage.minimum_filter(valid, SSIM_WINDOW, mode="constant", cval=0)
@@ -62,8 +63,7 @@ def ssim(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> float:
         read = scipy.ndimage.maximum_filter(counted, SSIM_WINDOW)[:, :, None]
         image, photo = np.where(read, image, 0), np.where(read, photo, 0)
     channels = zip(np.moveaxis(np.asarray(image), 2, 0), np.moveaxis(np.asarray(photo), 2, 0))
-    return float(np.mean([_ssim_map(_float64(x), _float64(y))[counted].mean()
-                          for x, y in channels]))
+    return float(np.mean([_ssim_map(_float64(x), _float64(y))[counted].mean() for x, y in channels]))
 
 
 def _ssim_map(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -80,8 +80,7 @@ def _similarity(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.fl
     product, squares = mean_x * mean_y, mean_x * mean_x + mean_y * mean_y
     covariance -= product
     variances -= squares
-    return np.asarray((2 * product + 1e-4) * (2 * covariance + 9e-4) / (
-        (squares + 1e-4) * (variances + 9e-4)))
+    return np.asarray((2 * product + 1e-4) * (2 * covariance + 9e-4) / ((squares + 1e-4) * (variances + 9e-4)))
 
 
 def _means(planes: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -99,7 +98,7 @@ def _means(planes: NDArray[np.float64]) -> NDArray[np.float64]:
 def _band() -> NDArray[np.float64]:
     """[TILE, TILE + 2 SIDE]: in each row the weights of a window, one pixel further."""
     away = np.arange(TILE + 2 * SIDE) - SIDE - np.arange(TILE)[:, None]
-    weights = np.where(abs(away) <= SIDE, np.exp(-0.5 * (away / SSIM_SIGMA)**2), 0.0)
+    weights = np.where(abs(away) <= SIDE, np.exp(-0.5 * (away / SSIM_SIGMA) ** 2), 0.0)
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
@@ -119,8 +118,9 @@ def flip(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> float:
         return buffer
 
     shown = image if valid is None else np.where(valid[..., None], image, photo)
-    difference = oiio.ImageBufAlgo.FLIP_diff(linear(photo), linear(shown), hdr=0,
-                                             ppd=PIXELS_PER_DEGREE, nthreads=1)  # a view a thread
+    difference = oiio.ImageBufAlgo.FLIP_diff(
+        linear(photo), linear(shown), hdr=0, ppd=PIXELS_PER_DEGREE, nthreads=1
+    )  # a view a thread
     pixels = difference.get_pixels()
     if difference.has_error or pixels is None:
         raise RuntimeError(difference.geterror())
@@ -146,19 +146,19 @@ class Lpips:
         try:
             import onnxruntime
         except ImportError:
-            raise InputError(f"--lpips {self.path}: needs onnxruntime; install it with "
-                             "`pip install onnxruntime`") from None
+            raise InputError(
+                f"--lpips {self.path}: needs onnxruntime; install it with `pip install onnxruntime`"
+            ) from None
         if not self.path.is_file():
-            raise InputError(f"{self.path}: no such file; give the ONNX file of an LPIPS "
-                             "network, or leave --lpips out")
+            raise InputError(f"{self.path}: no such file; give the ONNX file of an LPIPS network, or leave --lpips out")
         settings = onnxruntime.SessionOptions()
         settings.log_severity_level = 4  # what goes wrong is raised, too
         try:
-            self._session = onnxruntime.InferenceSession(
-                str(self.path), settings, providers=["CPUExecutionProvider"])
+            self._session = onnxruntime.InferenceSession(str(self.path), settings, providers=["CPUExecutionProvider"])
         except Exception as error:  # noqa: BLE001  (onnxruntime has a class for each kind)
-            raise InputError(f"{self.path}: not a network that onnxruntime can read "
-                             f"({reason(error)}); {EXPORT}") from None
+            raise InputError(
+                f"{self.path}: not a network that onnxruntime can read ({reason(error)}); {EXPORT}"
+            ) from None
 
     def __call__(self, image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> float:
         """LPIPS of two images; InputError if the network does not give one number for them.
@@ -167,18 +167,21 @@ class Lpips:
         """
         if valid is not None:
             image = np.where(valid[..., None], image, photo)
-        tensors = [np.ascontiguousarray(
-            2 * np.asarray(each, np.float32).transpose(2, 0, 1)[None] - 1)
-            for each in (image, photo)]
+        tensors = [
+            np.ascontiguousarray(2 * np.asarray(each, np.float32).transpose(2, 0, 1)[None] - 1)
+            for each in (image, photo)
+        ]
         inputs = [given.name for given in self._session.get_inputs()]
         try:
             result = self._session.run(None, dict(zip(inputs, tensors, strict=True)))[0]
             return float(np.reshape(result, ()))
         except Exception as error:  # noqa: BLE001
             height, width = tensors[0].shape[2:]
-            raise InputError(f"{self.path}: cannot compare images of {width}x{height} pixels "
-                             f"({reason(error)}); {EXPORT}, with two images as inputs, dynamic "
-                             "axes for height and width, and one number as output") from None
+            raise InputError(
+                f"{self.path}: cannot compare images of {width}x{height} pixels "
+                f"({reason(error)}); {EXPORT}, with two images as inputs, dynamic "
+                "axes for height and width, and one number as output"
+            ) from None
 
 
 def fit_colour(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> NDArray[np.float64]:
@@ -193,10 +196,10 @@ def fit_colour(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> NDArr
     fitting, target = pixels[:, kept], target[kept]
     gram, moment, room = np.zeros((10, 10)), np.zeros((10, 3)), np.ones((10, CHUNK_PIXELS))
     for begin in range(0, len(target), CHUNK_PIXELS):
-        features = _features(fitting[:, begin:begin + CHUNK_PIXELS], room)
+        features = _features(fitting[:, begin : begin + CHUNK_PIXELS], room)
         # unlike `@` where the result is small, `dot` lets other threads go on
         gram += np.dot(features, features.T)
-        moment += np.dot(features, target[begin:begin + CHUNK_PIXELS])
+        moment += np.dot(features, target[begin : begin + CHUNK_PIXELS])
     # the sums are accurate to about 1e-14 of the largest: smaller singular values are rounding
     weights = np.linalg.lstsq(gram, moment, rcond=1e-13)[0]
     fitted = np.empty(pixels.shape[::-1])
@@ -208,7 +211,7 @@ def fit_colour(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> NDArr
 
 def _features(pixels: NDArray[np.float64], room: NDArray[np.float64]) -> NDArray[np.float64]:
     """[10, N]: the features of colours [3, N], in an array [10, at least N] whose last row is 1."""
-    features = room[:, :pixels.shape[1]]
+    features = room[:, : pixels.shape[1]]
     np.multiply(pixels, pixels, out=features[:3])
     np.multiply(pixels[:2], pixels[1:], out=features[3:5])
     np.multiply(pixels[2], pixels[0], out=features[5])

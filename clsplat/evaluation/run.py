@@ -33,8 +33,7 @@ if TYPE_CHECKING:
 def shown(model: Gaussians, path: Path) -> Gaussians:
     """The model that was read from `path`; InputError if it is empty."""
     if not model.count:
-        raise InputError(f"{path}: holds no gaussians, so there is nothing to show; give another "
-                         "model")
+        raise InputError(f"{path}: holds no gaussians, so there is nothing to show; give another model")
     return model
 
 
@@ -59,8 +58,7 @@ def to_render(path: Path, scene_path: Path | None) -> tuple[Gaussians, Scene, Tr
         run = Run.open(path)
         options, model, scene = run.options, run.finished_model, scene_of_views(run, scene_path)
     elif scene_path is None:
-        raise InputError(f"{path}: a file of gaussians has no cameras; name them with "
-                         "--scene SCENE")
+        raise InputError(f"{path}: a file of gaussians has no cameras; name them with --scene SCENE")
     else:
         scene = read_scene(scene_path)
         model, notes = read_with_notes(path, scene.offset, scene.georeference)
@@ -174,19 +172,16 @@ class Run:
         scene = placed(read_scene(place, self.options.images), self.folder.path)
         recorded = self.record.get("fingerprint")
         if recorded is not None and fingerprint(scene) != recorded:
-            raise InputError(f"{place}: is not the scene that {self.path} was trained on; give "
-                             "that one with --scene")
+            raise InputError(f"{place}: is not the scene that {self.path} was trained on; give that one with --scene")
         scene = undistorted(scene, self.folder.undistorted, make=False)
         return scene if whole else self.as_trained(scene)
 
     def as_trained(self, scene: Scene) -> Scene:
         """`scene(whole=True)` at the size of the training, with corrected poses."""
         options = self.options
-        return scene.reduced(options.downscale, options.max_resolution).corrected(
-            read_poses(self.path))
+        return scene.reduced(options.downscale, options.max_resolution).corrected(read_poses(self.path))
 
-    def opened(self, device: Device, scene: Scene, model: Gaussians | None = None
-               ) -> Model:
+    def opened(self, device: Device, scene: Scene, model: Gaussians | None = None) -> Model:
         """A model on a device, to be rendered with the options of the run.
 
         Parameters
@@ -216,8 +211,7 @@ def has_tree(run: Run) -> bool:
     return (run.path / TREE).is_file()
 
 
-def open_tree(run: Run, device: Device, near: float, host_bytes: float
-              ) -> tuple[TreeRenderer, Tree]:
+def open_tree(run: Run, device: Device, near: float, host_bytes: float) -> tuple[TreeRenderer, Tree]:
     """What draws the tree of a run, and the tree; InputError if it is damaged.
 
     Parameters
@@ -228,17 +222,16 @@ def open_tree(run: Run, device: Device, near: float, host_bytes: float
     host_bytes : see `TreeRenderer`.
     """
     tree, options = Tree(run.path / TREE), run.options
-    return TreeRenderer(device, tree, near, options.antialiased, options.background,
-                        host_bytes=host_bytes), tree
+    return TreeRenderer(device, tree, near, options.antialiased, options.background, host_bytes=host_bytes), tree
 
 
-def open_shown(run: Run, device: Device, near: float, host_bytes: float,
-               model: Callable[[], Gaussians]) -> tuple[ModelRenderer, Any, Tree | Gaussians]:
+def open_shown(
+    run: Run, device: Device, near: float, host_bytes: float, model: Callable[[], Gaussians]
+) -> tuple[ModelRenderer, Any, Tree | Gaussians]:
     """What draws a run in original coordinates: the renderer, its rows, and the tree, or without
     one the gaussians that `model` returns; other arguments as for `open_tree`."""
     if has_tree(run):
         renderer, tree = open_tree(run, device, near, host_bytes)
         return renderer, tree, tree
     gaussians, options = shown(model(), run.path), run.options
-    return (*open_model(device, gaussians, near, options.antialiased, options.background),
-            gaussians)
+    return (*open_model(device, gaussians, near, options.antialiased, options.background), gaussians)

@@ -85,8 +85,11 @@ class Survey:
     @property
     def camera_residuals(self) -> NDArray[np.float64]:
         """float64[N], metres, how far the place of each photo is from its GPS; nan: unknown."""
-        lengths = {each.name: float(np.linalg.norm([each.east, each.north, each.up or 0.0]))
-                   for each in self.residuals if each.pixels is None}
+        lengths = {
+            each.name: float(np.linalg.norm([each.east, each.north, each.up or 0.0]))
+            for each in self.residuals
+            if each.pixels is None
+        }
         return np.array([lengths.get(name, np.nan) for name in self.names])
 
 
@@ -109,9 +112,11 @@ def photographs_of(scene: Scene) -> Photographs:
     """What the files of a scene's photos record."""
     folder, cameras, times = photo_folder(scene.path), Counter[str](), list[datetime]()
     # undistorted photos have lost their EXIF, and a wide lens has several views of one photo
-    for path in dict.fromkeys(view.source if not (folder / view.name).is_file() else
-                              folder / view.name for view in scene.views
-                              if isinstance(view.source, Path)):
+    for path in dict.fromkeys(
+        view.source if not (folder / view.name).is_file() else folder / view.name
+        for view in scene.views
+        if isinstance(view.source, Path)
+    ):
         known = read_metadata(path)
         name = " ".join(dict.fromkeys(known.camera.split()))  # a model may begin with its maker
         cameras[f"{name or 'unknown camera'}, {known.width} x {known.height} pixels"] += 1
@@ -138,26 +143,29 @@ def survey_of(scene: Scene) -> Survey:
     """A scene, with one or more cameras of the size of its photos, as a survey."""
     axes = np.vstack([map_axes(scene.up), scene.up])
 
-    points = scene.points[::max(1, len(scene.points) // MOST_POINTS)]
+    points = scene.points[:: max(1, len(scene.points) // MOST_POINTS)]
     points = points[np.isfinite(points).all(axis=1)]
     positions = np.array([view.camera.position for view in scene.views])
-    cameras, ground = ((scene.offset + scene.unit * places) @ axes.T
-                       for places in (positions, points))
+    cameras, ground = ((scene.offset + scene.unit * places) @ axes.T for places in (positions, points))
     distances, pixels = ground_samples(scene, points)
     above = len(points) and np.median(cameras[:, 2]) > np.quantile(ground[:, 2], ABOVE)
     return Survey(
-        tuple(view.name for view in scene.views), cameras[:, :2], ground[:, :2],
-        record_of(scene), scene.georeference,
+        tuple(view.name for view in scene.views),
+        cameras[:, :2],
+        ground[:, :2],
+        record_of(scene),
+        scene.georeference,
         _overlap(scene, ground, axes) if above else None,
         scene.unit * float(np.median(pixels)) if pixels else None,
-        scene.unit * float(np.median(distances)) if distances else None)
+        scene.unit * float(np.median(distances)) if distances else None,
+    )
 
 
 def ground_samples(scene: Scene, points: NDArray[np.float64]) -> tuple[list[float], list[float]]:
     """The median depth of points float64[N, 3] in each of some photos that show any, and the size
     of a pixel there, local units."""
     depths, pixels = [], []
-    for view in scene.views[::max(1, len(scene.views) // MOST_MEASURED)]:
+    for view in scene.views[:: max(1, len(scene.views) // MOST_MEASURED)]:
         seen = points[view.sees(points)]
         if len(seen):
             depths.append(float(np.median(view.camera.project(seen)[1])))
@@ -165,8 +173,7 @@ def ground_samples(scene: Scene, points: NDArray[np.float64]) -> tuple[list[floa
     return depths, pixels
 
 
-def _overlap(scene: Scene, ground: NDArray[np.float64], axes: NDArray[np.float64]
-             ) -> Overlap | None:
+def _overlap(scene: Scene, ground: NDArray[np.float64], axes: NDArray[np.float64]) -> Overlap | None:
     """The map of overlap, on the heights of the points nearby: points [M, 3] in the axes of the
     map, which are the rows of `axes` [3, 3] in original coordinates."""
     low, high = np.quantile(ground[:, :2], EXTENT, axis=0)
@@ -179,21 +186,24 @@ def _overlap(scene: Scene, ground: NDArray[np.float64], axes: NDArray[np.float64
     flat = cells[inside, 1] * columns + cells[inside, 0]
     found = np.bincount(flat, minlength=rows * columns).reshape(rows, columns)
     sums = np.bincount(flat, ground[inside, 2], rows * columns).reshape(rows, columns)
-    nearest = scipy.ndimage.distance_transform_edt(found == 0, return_distances=False,
-                                                   return_indices=True)
+    nearest = scipy.ndimage.distance_transform_edt(found == 0, return_distances=False, return_indices=True)
     heights = (sums / np.maximum(found, 1))[tuple(nearest)]
     # the border of the closing is empty: pad, so that ground at the edge stays covered
     closed = scipy.ndimage.binary_closing(np.pad(found > 0, CLOSED), iterations=CLOSED)
     row, column = np.nonzero(closed[CLOSED:-CLOSED, CLOSED:-CLOSED])
-    middles = np.column_stack([low[0] + size * (column + 0.5), low[1] + size * (row + 0.5),
-                               heights[row, column]])
+    middles = np.column_stack([low[0] + size * (column + 0.5), low[1] + size * (row + 0.5), heights[row, column]])
     local = (middles @ axes - scene.offset) / scene.unit
     seen = sum((view.sees(local).astype(int) for view in scene.views), np.zeros(len(local), int))
     counts = np.full((rows, columns), -1)
     counts[row, column] = seen
     west, south = low.tolist()
-    return Overlap(counts, (west, west + size * columns, south, south + size * rows),
-                   size**2 * int((seen >= 2).sum()), float(seen.mean()), float((seen < 3).mean()))
+    return Overlap(
+        counts,
+        (west, west + size * columns, south, south + size * rows),
+        size**2 * int((seen >= 2).sum()),
+        float(seen.mean()),
+        float((seen < 3).mean()),
+    )
 
 
 def spreads(residuals: Sequence[Residual]) -> dict[str, AxisError]:
@@ -201,6 +211,7 @@ def spreads(residuals: Sequence[Residual]) -> dict[str, AxisError]:
     result = axis_errors(residuals)
     if result:
         along = np.array([np.hypot(each.east, each.north) for each in residuals])
-        result["along the ground"] = AxisError(None, None, float(np.sqrt(np.mean(along**2))),
-                                               float(np.quantile(along, 0.9)))
+        result["along the ground"] = AxisError(
+            None, None, float(np.sqrt(np.mean(along**2))), float(np.quantile(along, 0.9))
+        )
     return result

@@ -72,10 +72,16 @@ def _shown(image: Image, camera: Camera, response: Response | None = None) -> Im
     return np.clip(response.applied(image, camera) if response else image, 0, 1)
 
 
-def evaluate_views(renderer: ModelRenderer, rows: Any, degree: int, views: Sequence[View],
-                   keep: Callable[..., object] | None = None,
-                   metrics: Mapping[str, Metric] = METRICS,
-                   predicted: Predicted | None = None, align: float = 0.0) -> dict[str, Any]:
+def evaluate_views(
+    renderer: ModelRenderer,
+    rows: Any,
+    degree: int,
+    views: Sequence[View],
+    keep: Callable[..., object] | None = None,
+    metrics: Mapping[str, Metric] = METRICS,
+    predicted: Predicted | None = None,
+    align: float = 0.0,
+) -> dict[str, Any]:
     """Compare renders from the cameras of views with their photos.
 
     Parameters
@@ -113,22 +119,21 @@ def evaluate_views(renderer: ModelRenderer, rows: Any, degree: int, views: Seque
                 sizes = [correction.degrees, float(np.linalg.norm(correction.shift)) / align]
             yield view, renders, valid, sizes
 
-    def scored(view: View, renders: list[Image], valid: Valid, sizes: list[float]
-               ) -> tuple[dict[str, Any], tuple[Any, ...]]:
+    def scored(
+        view: View, renders: list[Image], valid: Valid, sizes: list[float]
+    ) -> tuple[dict[str, Any], tuple[Any, ...]]:
         photo, response = photo_of(view), responses.get(view.name)
         images = [_shown(image, view.camera, response) for image in renders]
         shown = [each for image in images for each in (image, fit_colour(image, photo, valid))]
         scores = [metric(each, photo, valid) for each in shown for metric in metrics.values()]
-        return ({"name": view.name, **dict(zip(names, [*scores, *sizes]))},
-                (view, *shown[:2], photo, valid))
+        return ({"name": view.name, **dict(zip(names, [*scores, *sizes]))}, (view, *shown[:2], photo, valid))
 
     most = scored_at_once(views)
     for of_view, shown in called_ahead(scored, rendered(), most, most):
         per_view.append(of_view)
         if keep:
             keep(*shown)
-    means = {name: float(np.mean([scores[name] for scores in per_view])) if per_view else math.nan
-             for name in names}
+    means = {name: float(np.mean([scores[name] for scores in per_view])) if per_view else math.nan for name in names}
     applied = {"exposure_weight": predicted.weight} if predicted else {}
     return {"views": len(per_view), **means, **applied, "per_view": per_view}
 
@@ -146,9 +151,15 @@ def expected_seconds(views: Sequence[View]) -> float:
     return SCORED_PIXEL_SECONDS * pixels / scored_at_once(views)
 
 
-def pictures_of(renderer: ModelRenderer, rows: Any, degree: int, test: Sequence[View],
-                train: Sequence[View], per_view: list[dict[str, Any]] | None = None,
-                predicted: Predicted | None = None) -> Pictures:
+def pictures_of(
+    renderer: ModelRenderer,
+    rows: Any,
+    degree: int,
+    test: Sequence[View],
+    train: Sequence[View],
+    per_view: list[dict[str, Any]] | None = None,
+    predicted: Predicted | None = None,
+) -> Pictures:
     """The pictures of a model's report; the chosen views are rendered again, so that few are in
     memory at full size.
 
@@ -161,8 +172,9 @@ def pictures_of(renderer: ModelRenderer, rows: Any, degree: int, test: Sequence[
     per_view : the scores of `test` as `evaluate_views` lists them; None: they are computed here.
     predicted : as for `evaluate_views`.
     """
-    views = test or [replace(view, camera=view.camera.reduced(1, SAMPLED_SIDE))
-                     for view in train[::-(-len(train) // MOST_SAMPLED)]]
+    views = test or [
+        replace(view, camera=view.camera.reduced(1, SAMPLED_SIDE)) for view in train[:: -(-len(train) // MOST_SAMPLED)]
+    ]
     if not (test and per_view):
         per_view = evaluate_views(renderer, rows, degree, views, predicted=predicted)["per_view"]
     shown: list[ShownView] = []
@@ -172,9 +184,15 @@ def pictures_of(renderer: ModelRenderer, rows: Any, degree: int, test: Sequence[
         place, index = chosen[len(shown)]
         shown.append(shown_view(place, per_view[index], fitted, photo, valid))
 
-    evaluate_views(renderer, rows, degree, [by_name[per_view[index]["name"]]
-                                            for _, index in chosen], keep, metrics={},
-                   predicted=predicted)
+    evaluate_views(
+        renderer,
+        rows,
+        degree,
+        [by_name[per_view[index]["name"]] for _, index in chosen],
+        keep,
+        metrics={},
+        predicted=predicted,
+    )
     return Pictures(shown, bool(test), len(views))
 
 
@@ -184,19 +202,23 @@ def photo_of(view: View) -> NDArray[np.float32]:
     return photo
 
 
-def opened(device: Device, gaussians: Gaussians, scene: Scene, options: RenderingOptions
-           ) -> Model:
+def opened(device: Device, gaussians: Gaussians, scene: Scene, options: RenderingOptions) -> Model:
     """A finished model, in the frame of the scene, on a device.
 
     The scene decides, with `options.near`, where the near plane is."""
-    renderer, rows = open_model(device, gaussians, scene.near(options.near), options.antialiased,
-                                options.background)
+    renderer, rows = open_model(device, gaussians, scene.near(options.near), options.antialiased, options.background)
     return renderer, rows, gaussians.sh_degree
 
 
-def evaluate_run(run: Run, device: Device, save_images: bool, scene: Scene | None = None,
-                 metrics: Mapping[str, Metric] = FINAL_METRICS, align: bool = False,
-                 model: Model | None = None) -> dict[str, Any]:
+def evaluate_run(
+    run: Run,
+    device: Device,
+    save_images: bool,
+    scene: Scene | None = None,
+    metrics: Mapping[str, Metric] = FINAL_METRICS,
+    align: bool = False,
+    model: Model | None = None,
+) -> dict[str, Any]:
     """Compare the finished model of a run with its held-out photos.
 
     Parameters
@@ -219,9 +241,9 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene: Scene | Non
     options, scene = run.options, scene or run.scene()
     train, views = scene.split(options.test_every, options.test_offset)
     if not views:
-        raise InputError(f"{run.path}: no held-out views (--test-every "
-                         f"{options.test_every or 'none'}); "
-                         "nothing to compare with")
+        raise InputError(
+            f"{run.path}: no held-out views (--test-every {options.test_every or 'none'}); nothing to compare with"
+        )
     model = model or run.opened(device, scene)
 
     def keep(view: View, image: Image, fitted: Image, photo: Image, valid: Valid) -> None:
@@ -230,8 +252,9 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene: Scene | Non
         write_image(run.folder.picture(view.name), beside)
 
     predicted = predicted_responses(scene.views, read_exposures(run.path))
-    result = evaluate_views(*model, views, keep if save_images else None, metrics, predicted,
-                            depth_to_align(scene) if align else 0.0)
+    result = evaluate_views(
+        *model, views, keep if save_images else None, metrics, predicted, depth_to_align(scene) if align else 0.0
+    )
     result["pictures"] = pictures_of(*model, views, train, result["per_view"], predicted)
     return result
 
@@ -244,12 +267,15 @@ def depth_to_align(scene: Scene) -> float:
 def training_pictures(run: Run, device: Device) -> Pictures:
     """The pictures of a run's finished model where the run holds out no view."""
     scene = run.scene()
-    return pictures_of(*run.opened(device, scene), [], scene.views, predicted=predicted_responses(
-        scene.views, read_exposures(run.path)))
+    return pictures_of(
+        *run.opened(device, scene),
+        [],
+        scene.views,
+        predicted=predicted_responses(scene.views, read_exposures(run.path)),
+    )
 
 
-def render_views(draw: Callable[[Camera], Image], views: Sequence[View],
-                 folder: Path, beside: bool = False) -> None:
+def render_views(draw: Callable[[Camera], Image], views: Sequence[View], folder: Path, beside: bool = False) -> None:
     """Write pictures [H, W, 3], 0 to 1, of views, FOLDER/NAME.png; `beside`: with the photo at the
     right."""
     for view in views:

@@ -8,8 +8,9 @@ from typing import Any, TypeVar
 Result = TypeVar("Result")
 
 
-def called_ahead(call: Callable[..., Result], arguments: Iterable[tuple[Any, ...]], threads: int,
-                 most: int) -> Iterator[Result]:
+def called_ahead(
+    call: Callable[..., Result], arguments: Iterable[tuple[Any, ...]], threads: int, most: int
+) -> Iterator[Result]:
     """Yield the results of calls in order; an error of a call is raised in its turn.
 
     Parameters

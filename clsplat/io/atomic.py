@@ -40,8 +40,11 @@ def replacing(path: str | PathLike[str], synced: bool = True) -> Iterator[Buffer
         cause = _system_error(error) if isinstance(error, Exception) else None
         if cause is None:
             raise
-        cure = ("free some space and try again (a training: with --resume)"
-                if cause.errno in DISK_FULL else "check that the folder exists and may be written")
+        cure = (
+            "free some space and try again (a training: with --resume)"
+            if cause.errno in DISK_FULL
+            else "check that the folder exists and may be written"
+        )
         raise InputError(f"{path}: cannot be written ({cause.strerror}); {cure}") from error
 
 

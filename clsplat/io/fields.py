@@ -30,11 +30,9 @@ def reading(path: str | Path, what: str, cure: str = "export or copy it again") 
     except ImportError as error:
         raise InputError(f"{path}: {reason(error)}") from None
     except MemoryError:
-        raise InputError(f"{path}: not enough memory to read it; free some, or give a smaller "
-                         "file") from None
+        raise InputError(f"{path}: not enough memory to read it; free some, or give a smaller file") from None
     except Exception as error:
-        raise InputError(f"{path}: not {what}, damaged or cut short ({reason(error)}); {cure}"
-                         ) from None
+        raise InputError(f"{path}: not {what}, damaged or cut short ({reason(error)}); {cure}") from None
 
 
 def number(value: object, what: str) -> float:

@@ -29,8 +29,7 @@ def new_folder(path: Path) -> Iterator[Path]:
     if path.is_file() or path.is_dir() and any(path.iterdir()):
         raise InputError(f"{path}: exists already; choose another folder, or remove this one")
     if partial.exists():
-        raise InputError(f"{partial}: is left over from a command that was killed, or one writes "
-                         "it now; remove it")
+        raise InputError(f"{partial}: is left over from a command that was killed, or one writes it now; remove it")
     make_folder(partial)
     try:
         yield partial
@@ -42,8 +41,7 @@ def new_folder(path: Path) -> Iterator[Path]:
         raise
 
 
-def link_file(source: Path, place: Path, kind: Literal["symbolic", "hard", "copy"] = "symbolic"
-              ) -> None:
+def link_file(source: Path, place: Path, kind: Literal["symbolic", "hard", "copy"] = "symbolic") -> None:
     """Link to a file from a place, whose folder is created, or copy it if the file system has no
     links; what is at the place stays. A hard link outlives its source."""
     make_folder(place.parent)

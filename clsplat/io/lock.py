@@ -42,17 +42,16 @@ def exclusive(folder: Path, patience: float = 0.0) -> Iterator[None]:
     try:
         lock.acquire(timeout=patience)
     except Timeout:
-        raise LockTaken(f"{folder}: {_holder(folder)} works here; wait for it, or stop it"
-                        ) from None
+        raise LockTaken(f"{folder}: {_holder(folder)} works here; wait for it, or stop it") from None
     except (OSError, NotImplementedError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{path}: cannot be locked ({reason}); check that the folder exists and "
-                         "may be written, and that its file system has locks (Lustre: -o flock)"
-                         ) from None
+        raise InputError(
+            f"{path}: cannot be locked ({reason}); check that the folder exists and "
+            "may be written, and that its file system has locks (Lustre: -o flock)"
+        ) from None
     try:
         if lock.lock_counter == 1:
-            words = (f"process {os.getpid()} on {socket.gethostname()}, since "
-                     f"{time.strftime('%Y-%m-%d %H:%M:%S')},")
+            words = f"process {os.getpid()} on {socket.gethostname()}, since {time.strftime('%Y-%m-%d %H:%M:%S')},"
             with suppress(OSError):  # a full disk must not keep a lock from being taken
                 path.with_name(HOLDER).write_text(words, "utf-8")
         yield

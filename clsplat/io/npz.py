@@ -29,8 +29,7 @@ PART_BYTES = 1 << 20  # so few that they are in the cache while their CRC is com
 LARGEST_HEADER = 1 << 16  # bytes that describe an array
 
 
-def read_npz(path: Path, wanted: Callable[[str], bool] = lambda name: True
-             ) -> dict[str, NDArray[Any]]:
+def read_npz(path: Path, wanted: Callable[[str], bool] = lambda name: True) -> dict[str, NDArray[Any]]:
     """Read the arrays of an .npz that is not compressed by name; every byte that is read is checked
     against its CRC. Through zipfile this takes three times as long.
 
@@ -40,14 +39,19 @@ def read_npz(path: Path, wanted: Callable[[str], bool] = lambda name: True
     ----------
     wanted : called with the name of an array, returns whether it is read.
     """
-    with opened_archive(path, lambda name: wanted(name.removesuffix(".npy"))
-                        ) as (_, members), ThreadPoolExecutor(THREADS) as threads:
-        return dict(zip((name.removesuffix(".npy") for name in members),
-                        threads.map(lambda member: _read_array(path, member), members.values())))
+    with (
+        opened_archive(path, lambda name: wanted(name.removesuffix(".npy"))) as (_, members),
+        ThreadPoolExecutor(THREADS) as threads,
+    ):
+        return dict(
+            zip(
+                (name.removesuffix(".npy") for name in members),
+                threads.map(lambda member: _read_array(path, member), members.values()),
+            )
+        )
 
 
-def read_rows(path: Path, wanted: Callable[[str], bool], rows: NDArray[np.integer]
-              ) -> dict[str, NDArray[Any]]:
+def read_rows(path: Path, wanted: Callable[[str], bool], rows: NDArray[np.integer]) -> dict[str, NDArray[Any]]:
     """Some `rows` int[K] of arrays, as `read_npz` returns them; no other bytes are read, so that no
     CRC is compared. A third of the rows takes an eighth of the time of all."""
     with opened_archive(path, lambda name: wanted(name.removesuffix(".npy"))) as (_, members):
@@ -75,7 +79,7 @@ def write_npz(file: BinaryIO, arrays: Mapping[str, NDArray[Any]]) -> None:
                 write_array_header_1_0(member, header_data_from_array_1_0(by_rows))
                 content = by_rows.reshape(-1).view(np.uint8).data
                 for begin in range(0, len(content), PART_BYTES):
-                    member.write(content[begin:begin + PART_BYTES])
+                    member.write(content[begin : begin + PART_BYTES])
 
 
 def state_array(state: Mapping[str, Any]) -> NDArray[np.uint8]:
@@ -96,7 +100,7 @@ def _read_array(path: Path, member: ZipInfo) -> NDArray[Any]:
     with open(path, "rb", buffering=0) as file:
         _seek_content(file, member)
         for begin in range(0, len(content), PART_BYTES):
-            part = content.data[begin:begin + PART_BYTES]
+            part = content.data[begin : begin + PART_BYTES]
             if file.readinto(part) != len(part):
                 raise ValueError("it ends too early")
             crc = crc32(part, crc)

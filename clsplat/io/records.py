@@ -56,8 +56,10 @@ def check_format(path: Path, record: Mapping[str, Any]) -> None:
     if type(number) is not int:
         raise ValueError(f"{FORMAT_KEY} is {str(number)[:20]!r}")
     if number > FORMAT:
-        raise InputError(f"{path}: has format {number}, and this clsplat reads formats up to "
-                         f"{FORMAT}; install the newer clsplat that wrote it")
+        raise InputError(
+            f"{path}: has format {number}, and this clsplat reads formats up to "
+            f"{FORMAT}; install the newer clsplat that wrote it"
+        )
 
 
 def with_format(record: Mapping[str, Any]) -> dict[str, Any]:

@@ -48,8 +48,9 @@ def check_rows(size: int, count: int, bands: int) -> None:
 
 
 @contextmanager
-def opened_archive(path: Path, wanted: Callable[[str], bool] = lambda name: True
-                   ) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]]:
+def opened_archive(
+    path: Path, wanted: Callable[[str], bool] = lambda name: True
+) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]]:
     """A zip file and those of its members, by name, that are wanted.
 
     ValueError if these claim too much, or are packed by a method without a limit; other errors are
@@ -57,10 +58,10 @@ def opened_archive(path: Path, wanted: Callable[[str], bool] = lambda name: True
     bytes as the member claims, and compares its CRC at their end.
     """
     with open_regular(path) as file, zipfile.ZipFile(file) as archive:
-        members = {member.filename: member for member in archive.infolist()
-                   if not member.is_dir() and wanted(member.filename)}
-        check_expansion(file.seek(0, io.SEEK_END),
-                        sum(member.file_size for member in members.values()))
+        members = {
+            member.filename: member for member in archive.infolist() if not member.is_dir() and wanted(member.filename)
+        }
+        check_expansion(file.seek(0, io.SEEK_END), sum(member.file_size for member in members.values()))
         if any(member.compress_type not in METHODS for member in members.values()):
             raise ValueError("it is compressed by another method than deflate")
         yield archive, members

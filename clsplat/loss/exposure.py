@@ -21,15 +21,38 @@ _ROWS, _IMAGE = ("real", "V", constants.TRANSFORM_REALS), ("real", 3, "H", "W")
 _LENS_ROWS = "real", "L", constants.VIGNETTING_TERMS
 _LENSES = dict(lens_of=("uint", "V"), lenses=("real", "L", constants.VIGNETTING_REALS))
 ADJOINT = Kernel(
-    "exposure.cl", "exposure_adjoint",
-    Forms(item=each("blocks"), group=groups("blocks", "SCAN_GROUP")), pixels="uint", width="uint",
-    blocks="uint", **RESPONSE, image=_IMAGE, grad=_IMAGE, grad_image=_IMAGE,
-    partials=("real", "P", "S"))
-STEP = Kernel("exposure.cl", "exposure_step", groups("1", "16"), view="uint", rate="real",
-              pull="real", counts=("uint", constants.FRAME_COUNTS), partials=("real", "P", "S"),
-              blocks="uint", transforms=_ROWS, m=_ROWS, v=_ROWS, steps=("uint", "V"), **_LENSES,
-              lens_m=_LENS_ROWS, lens_v=_LENS_ROWS, lens_steps=("uint", "L"),
-              skipped=("uint", 1))
+    "exposure.cl",
+    "exposure_adjoint",
+    Forms(item=each("blocks"), group=groups("blocks", "SCAN_GROUP")),
+    pixels="uint",
+    width="uint",
+    blocks="uint",
+    **RESPONSE,
+    image=_IMAGE,
+    grad=_IMAGE,
+    grad_image=_IMAGE,
+    partials=("real", "P", "S"),
+)
+STEP = Kernel(
+    "exposure.cl",
+    "exposure_step",
+    groups("1", "16"),
+    view="uint",
+    rate="real",
+    pull="real",
+    counts=("uint", constants.FRAME_COUNTS),
+    partials=("real", "P", "S"),
+    blocks="uint",
+    transforms=_ROWS,
+    m=_ROWS,
+    v=_ROWS,
+    steps=("uint", "V"),
+    **_LENSES,
+    lens_m=_LENS_ROWS,
+    lens_v=_LENS_ROWS,
+    lens_steps=("uint", "L"),
+    skipped=("uint", 1),
+)
 
 
 class Exposures:
@@ -55,24 +78,30 @@ class Exposures:
     skipped : uint[1], steps that were left out because their gradient was not finite.
     """
 
-    def __init__(self, device: Device, views: int, rate: float = 1e-3, pull: float = 0.01,
-                 initial: NDArray[np.float64] | None = None, learns: bool = True,
-                 lenses: Lenses | None = None) -> None:
+    def __init__(
+        self,
+        device: Device,
+        views: int,
+        rate: float = 1e-3,
+        pull: float = 0.01,
+        initial: NDArray[np.float64] | None = None,
+        learns: bool = True,
+        lenses: Lenses | None = None,
+    ) -> None:
         self.device, self.rate, self.pull, self.learns = device, rate, pull, learns
         self._recentred = np.tile(IDENTITY, (views, 1, 1)) if initial is None else initial
         self._mean = self._recentred.reshape(views, constants.TRANSFORM_REALS).mean(axis=0)
         self.has_vignetting = lenses is not None
         self._defines = response_defines(self.has_vignetting)
         self._learned = LEARNED + LEARNED_VIGNETTING * self.has_vignetting
-        self.transforms, self.m, self.v = (
-            device.zeros((views, constants.TRANSFORM_REALS)) for _ in range(3))
+        self.transforms, self.m, self.v = (device.zeros((views, constants.TRANSFORM_REALS)) for _ in range(3))
         # without lenses a token stands for them
         count = len(lenses.rows) if lenses else 1
         self.lenses = device.zeros((count, constants.VIGNETTING_REALS))
-        self.lens_m, self.lens_v = (
-            device.zeros((count, constants.VIGNETTING_TERMS)) for _ in range(2))
+        self.lens_m, self.lens_v = (device.zeros((count, constants.VIGNETTING_TERMS)) for _ in range(2))
         self.steps, self.lens_of, self.lens_steps, self.skipped = (
-            device.zeros(number, np.uint32) for number in (views, views, count, 1))
+            device.zeros(number, np.uint32) for number in (views, views, count, 1)
+        )
         if lenses:
             self.lens_of.write(lenses.of)
             self.lenses.write(lenses.rows)
@@ -95,10 +124,22 @@ class Exposures:
         sums = constants.TRANSFORM_REALS + constants.VIGNETTING_TERMS * self.has_vignetting
         partials = device.empty((blocks, sums))
         grad_image = device.empty(image.shape)
-        device.launch(ADJOINT, self._defines, pixels=width * height, width=width, blocks=blocks,
-                      view=view, transforms=self.transforms, camera=camera, lens_of=self.lens_of,
-                      lenses=self.lenses, image=image, grad=grad, grad_image=grad_image,
-                      partials=partials)
+        device.launch(
+            ADJOINT,
+            self._defines,
+            pixels=width * height,
+            width=width,
+            blocks=blocks,
+            view=view,
+            transforms=self.transforms,
+            camera=camera,
+            lens_of=self.lens_of,
+            lenses=self.lenses,
+            image=image,
+            grad=grad,
+            grad_image=grad_image,
+            partials=partials,
+        )
         return grad_image, partials
 
     def step(self, view: int, partials: Array, counts: Array) -> None:
@@ -109,11 +150,25 @@ class Exposures:
         """
         if self.learns:
             self.device.launch(
-                STEP, self._defines, view=view, rate=self.rate, pull=self.pull, counts=counts,
-                partials=partials, blocks=len(partials), transforms=self.transforms, m=self.m,
-                v=self.v, steps=self.steps, lens_of=self.lens_of, lenses=self.lenses,
-                lens_m=self.lens_m, lens_v=self.lens_v, lens_steps=self.lens_steps,
-                skipped=self.skipped)
+                STEP,
+                self._defines,
+                view=view,
+                rate=self.rate,
+                pull=self.pull,
+                counts=counts,
+                partials=partials,
+                blocks=len(partials),
+                transforms=self.transforms,
+                m=self.m,
+                v=self.v,
+                steps=self.steps,
+                lens_of=self.lens_of,
+                lenses=self.lenses,
+                lens_m=self.lens_m,
+                lens_v=self.lens_v,
+                lens_steps=self.lens_steps,
+                skipped=self.skipped,
+            )
 
     def responses(self) -> list[Response]:
         """The responses of the views; waits for the device."""
@@ -121,8 +176,7 @@ class Exposures:
         if not self.has_vignetting:
             return [Response(transform) for transform in transforms]
         lenses = self.lenses.download().astype(np.float64)
-        return [Response(transform, lenses[lens])
-                for transform, lens in zip(transforms, self.lens_of.download())]
+        return [Response(transform, lenses[lens]) for transform, lens in zip(transforms, self.lens_of.download())]
 
     def recentre(self) -> None:
         """Shift all transforms equally, so that their mean is again that at the start; waits.
@@ -154,8 +208,7 @@ class Exposures:
 
     def download(self) -> dict[str, NDArray[Any]]:
         """All that was learned, host arrays by name, for `upload`."""
-        return {"recentred": self._recentred,
-                **{name: getattr(self, name).download() for name in self._learned}}
+        return {"recentred": self._recentred, **{name: getattr(self, name).download() for name in self._learned}}
 
     def upload(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Continue from what `download` returned."""

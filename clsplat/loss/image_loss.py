@@ -12,19 +12,28 @@ STRIP_ROWS = 256  # image rows of a work-item of the item form, which reads 20 m
 _SIZE = dict(width="int", height="int")
 _IMAGES = dict(image=("real", 3, "H", "W"), photo=("uchar", "C", "H", "W"))
 _MAPS: dict[str, Any] = dict(maps=("real", 3, 3, "H", "W"))
-_GRADIENT: dict[str, Any] = dict(l1_scale="real", ssim_scale="real",
-                                 grad_image=("real", 3, "H", "W"))
+_GRADIENT: dict[str, Any] = dict(l1_scale="real", ssim_scale="real", grad_image=("real", 3, "H", "W"))
 _TILES = "3 W/32 H/22", "TILE 8"
-VALUE = Kernel("image_loss.cl", "image_loss",
-               Forms(item=items("3 W/64 H/strip", strip="int", **_GRADIENT),
-                     group=groups(*_TILES, **_MAPS)),
-               **_SIZE, **_IMAGES, partials=("real", "P", 2))
-ADJOINT = Kernel("image_loss.cl", "image_loss_adjoint", Forms(item=None, group=groups(*_TILES)),
-                 **_SIZE, **_IMAGES, **_MAPS, **_GRADIENT)
+VALUE = Kernel(
+    "image_loss.cl",
+    "image_loss",
+    Forms(item=items("3 W/64 H/strip", strip="int", **_GRADIENT), group=groups(*_TILES, **_MAPS)),
+    **_SIZE,
+    **_IMAGES,
+    partials=("real", "P", 2),
+)
+ADJOINT = Kernel(
+    "image_loss.cl",
+    "image_loss_adjoint",
+    Forms(item=None, group=groups(*_TILES)),
+    **_SIZE,
+    **_IMAGES,
+    **_MAPS,
+    **_GRADIENT,
+)
 
 
-def image_loss(device: Device, image: Array, photo: Array, ssim_weight: float
-               ) -> tuple[Array, Array]:
+def image_loss(device: Device, image: Array, photo: Array, ssim_weight: float) -> tuple[Array, Array]:
     """The loss of an image against a photo, and its gradient.
 
     Parameters
@@ -42,10 +51,16 @@ def image_loss(device: Device, image: Array, photo: Array, ssim_weight: float
     values = 3 * height * width
     rows = VALUE.units(device, W=width, H=height, strip=STRIP_ROWS)
     partials, grad_image = device.result((rows, 2)), device.empty((3, height, width))
-    shared = dict(width=width, height=height, image=image, photo=photo,
-                  maps=device.empty((3, 3, height, width)) if HAS_MAPS.of(device) else None,
-                  l1_scale=(1 - ssim_weight) / values, ssim_scale=-ssim_weight / values,
-                  grad_image=grad_image)
+    shared = dict(
+        width=width,
+        height=height,
+        image=image,
+        photo=photo,
+        maps=device.empty((3, 3, height, width)) if HAS_MAPS.of(device) else None,
+        l1_scale=(1 - ssim_weight) / values,
+        ssim_scale=-ssim_weight / values,
+        grad_image=grad_image,
+    )
     defines = mask_defines(is_masked(photo))
     device.launch(VALUE, defines, **shared, strip=STRIP_ROWS, partials=partials)
     if HAS_MAPS.of(device):

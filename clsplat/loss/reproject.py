@@ -18,14 +18,28 @@ from clsplat.stereo.sweep import plane_warp
 
 _GRADS = dict(grad_depth=("real", "H", "W"), grad_transmittance=("real", "H", "W"))
 REPROJECT = Kernel(
-    "reproject.cl", "reproject", Forms(item=items("H"), group=groups("H", "SCAN_GROUP")),
-    width="int", height="int", neighbour_width="int", neighbour_height="int",
-    masked="int", neighbour_masked="int", depth=("real", "H", "W"),
-    transmittance=("real", "H", "W"), photo=("uchar", "C", "H", "W"),
-    neighbour=("uchar", "D", "J", "K"), geometries=("real", "P", GEOMETRY_REALS),
-    colours=("real", "P", TRANSFORM_REALS), pair="uint", **_GRADS, partials=("real", "H", 2))
-SCALE = Kernel("reproject.cl", "scale_gradients", each("count"), count="uint", weight="real",
-               sums=("real", 2), **_GRADS)
+    "reproject.cl",
+    "reproject",
+    Forms(item=items("H"), group=groups("H", "SCAN_GROUP")),
+    width="int",
+    height="int",
+    neighbour_width="int",
+    neighbour_height="int",
+    masked="int",
+    neighbour_masked="int",
+    depth=("real", "H", "W"),
+    transmittance=("real", "H", "W"),
+    photo=("uchar", "C", "H", "W"),
+    neighbour=("uchar", "D", "J", "K"),
+    geometries=("real", "P", GEOMETRY_REALS),
+    colours=("real", "P", TRANSFORM_REALS),
+    pair="uint",
+    **_GRADS,
+    partials=("real", "H", 2),
+)
+SCALE = Kernel(
+    "reproject.cl", "scale_gradients", each("count"), count="uint", weight="real", sums=("real", 2), **_GRADS
+)
 
 
 def pack_pairs(device: Device, pairs: Iterable[tuple[Camera, Camera]]) -> Array:
@@ -40,9 +54,17 @@ def pack_pairs(device: Device, pairs: Iterable[tuple[Camera, Camera]]) -> Array:
     return device.upload(rows.reshape(-1, GEOMETRY_REALS))
 
 
-def reproject(device: Device, depth: Array, transmittance: Array, photo: Array, neighbour: Array,
-              geometries: Array, colours: Array, pair: int, weight: float
-              ) -> tuple[Array, Array, Array]:
+def reproject(
+    device: Device,
+    depth: Array,
+    transmittance: Array,
+    photo: Array,
+    neighbour: Array,
+    geometries: Array,
+    colours: Array,
+    pair: int,
+    weight: float,
+) -> tuple[Array, Array, Array]:
     """The reprojection loss of a rendered view, and its gradients.
 
     Parameters
@@ -63,14 +85,26 @@ def reproject(device: Device, depth: Array, transmittance: Array, photo: Array, 
     """
     height, width = depth.shape
     _, neighbour_height, neighbour_width = neighbour.shape
-    grads = dict(grad_depth=device.empty(depth.shape),
-                 grad_transmittance=device.empty(depth.shape))
+    grads = dict(grad_depth=device.empty(depth.shape), grad_transmittance=device.empty(depth.shape))
     partials = device.empty((height, 2))
-    device.launch(REPROJECT, width=width, height=height, neighbour_width=neighbour_width,
-                  neighbour_height=neighbour_height, masked=is_masked(photo),
-                  neighbour_masked=is_masked(neighbour), depth=depth, transmittance=transmittance,
-                  photo=photo, neighbour=neighbour, geometries=geometries, colours=colours,
-                  pair=pair, **grads, partials=partials)
+    device.launch(
+        REPROJECT,
+        width=width,
+        height=height,
+        neighbour_width=neighbour_width,
+        neighbour_height=neighbour_height,
+        masked=is_masked(photo),
+        neighbour_masked=is_masked(neighbour),
+        depth=depth,
+        transmittance=transmittance,
+        photo=photo,
+        neighbour=neighbour,
+        geometries=geometries,
+        colours=colours,
+        pair=pair,
+        **grads,
+        partials=partials,
+    )
     sums = sum_columns(device, partials)
     device.launch(SCALE, count=height * width, weight=weight, sums=sums, **grads)
     return sums, grads["grad_depth"], grads["grad_transmittance"]

@@ -25,8 +25,9 @@ def edges_of(triangles: Triangles) -> tuple[NDArray[np.int64], NDArray[np.intp]]
     return np.stack([keys >> 32, keys & 0xFFFFFFFF], axis=1), counts
 
 
-def decimated(vertices: Floats, colours: Floats, triangles: Triangles, keep: NDArray[np.bool_]
-              ) -> tuple[Floats, Floats, Triangles, NDArray[np.bool_]]:
+def decimated(
+    vertices: Floats, colours: Floats, triangles: Triangles, keep: NDArray[np.bool_]
+) -> tuple[Floats, Floats, Triangles, NDArray[np.bool_]]:
     """Merge vertices.
 
     Parameters
@@ -50,8 +51,7 @@ def decimated(vertices: Floats, colours: Floats, triangles: Triangles, keep: NDA
     now, cell, number = vertices.copy(), np.full(len(vertices), -1), 0
     for side in CELLS:
         rows = np.flatnonzero(free & (cluster < 0))
-        _, of = np.unique(np.floor(vertices[rows] / side).astype(np.int64), axis=0,
-                          return_inverse=True)
+        _, of = np.unique(np.floor(vertices[rows] / side).astype(np.int64), axis=0, return_inverse=True)
         of = of.reshape(-1)
         size = np.bincount(of)
 
@@ -62,8 +62,9 @@ def decimated(vertices: Floats, colours: Floats, triangles: Triangles, keep: NDA
         place, error = _best(sums(quadrics[rows]), mean - middle)
         place += middle
         spread = (sums(colours[rows] ** 2) / size[:, None] - tint**2).max(axis=1, initial=0)
-        good = ((size > 1) & (error < FLAT**2) & (spread < ALIKE**2)
-                & (np.abs(place - mean).max(axis=1, initial=0) < side))
+        good = (
+            (size > 1) & (error < FLAT**2) & (spread < ALIKE**2) & (np.abs(place - mean).max(axis=1, initial=0) < side)
+        )
         cell[rows] = of
         for _ in range(ROUNDS):  # without cells that would fold the surface
             trial = now.copy()
@@ -88,17 +89,19 @@ def decimated(vertices: Floats, colours: Floats, triangles: Triangles, keep: NDA
     faces = cluster[triangles]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     # two that have become the same are a fold: without both, no edge is open that was not
-    _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True,
-                                 return_counts=True)
+    _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
     return moved, tinted, faces[np.sort(first[counts % 2 == 1])], kept
 
 
 def _turned(before: Floats, after: Floats, triangles: Triangles) -> NDArray[np.bool_]:
     """bool[M]: which triangles face the other way once their vertices have moved, but slivers."""
-    old, new = (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-                for corners in (before[triangles], after[triangles]))
+    old, new = (
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        for corners in (before[triangles], after[triangles])
+    )
     turned: NDArray[np.bool_] = (np.einsum("ij,ij->i", old, new) < 0) & (
-        np.einsum("ij,ij->i", new, new) > (2 * SLIVER) ** 2)
+        np.einsum("ij,ij->i", new, new) > (2 * SLIVER) ** 2
+    )
     return turned
 
 
@@ -110,10 +113,10 @@ def _quadrics(vertices: Floats, triangles: Triangles) -> Floats:
     area = np.linalg.norm(normal, axis=1)
     normal /= np.maximum(area, 1e-12)[:, None]
     away = -np.einsum("ij,ij->i", normal, corners[:, 0])
-    terms = [*(normal[:, i] * normal[:, j] for i, j in PAIRS), *(normal.T * away), away**2,
-             np.ones(len(area))]
-    return np.stack([np.bincount(triangles.ravel(), np.repeat(term * area, 3), len(vertices))
-                     for term in terms], axis=1)
+    terms = [*(normal[:, i] * normal[:, j] for i, j in PAIRS), *(normal.T * away), away**2, np.ones(len(area))]
+    return np.stack(
+        [np.bincount(triangles.ravel(), np.repeat(term * area, 3), len(vertices)) for term in terms], axis=1
+    )
 
 
 def _best(quadrics: Floats, means: Floats) -> tuple[Floats, Floats]:
@@ -127,6 +130,5 @@ def _best(quadrics: Floats, means: Floats) -> tuple[Floats, Floats]:
     slope = np.einsum("kij,kj->ki", matrix, means) + vector
     step = np.linalg.solve(matrix + held[:, None, None] * np.eye(3), -slope[..., None])[..., 0]
     place = means + step
-    error = (np.einsum("ki,kij,kj->k", place, matrix, place)
-             + 2 * np.einsum("ki,ki->k", vector, place) + quadrics[:, 9])
+    error = np.einsum("ki,kij,kj->k", place, matrix, place) + 2 * np.einsum("ki,ki->k", vector, place) + quadrics[:, 9]
     return place, error / weight

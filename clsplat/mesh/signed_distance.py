@@ -13,12 +13,24 @@ from clsplat.rendering.project import pack_camera
 SUMS = 7  # of a sample
 _PLANE = ("real", "H", "W")
 SIGNED_DISTANCE = Kernel(
-    "signed_distance.cl", "signed_distance",
-    items("C BRICK_SIDE BRICK_SIDE BRICK_SIDE", "SCAN_GROUP"), count="uint", chosen_count="uint",
-    width="int", height="int", voxel="real", truncation="real", bricks=("int", "B", 3),
-    chosen=("uint", "C"), camera=("real", CAMERA_REALS), depth=_PLANE, first=_PLANE,
-    transmittance=_PLANE, image=("real", 3, "H", "W"),
-    sums=("real", SUMS, "B", BRICK_SIDE**3))
+    "signed_distance.cl",
+    "signed_distance",
+    items("C BRICK_SIDE BRICK_SIDE BRICK_SIDE", "SCAN_GROUP"),
+    count="uint",
+    chosen_count="uint",
+    width="int",
+    height="int",
+    voxel="real",
+    truncation="real",
+    bricks=("int", "B", 3),
+    chosen=("uint", "C"),
+    camera=("real", CAMERA_REALS),
+    depth=_PLANE,
+    first=_PLANE,
+    transmittance=_PLANE,
+    image=("real", 3, "H", "W"),
+    sums=("real", SUMS, "B", BRICK_SIDE**3),
+)
 
 
 def brick_bytes(device: Device) -> int:
@@ -37,14 +49,21 @@ class Volume:
     truncation : the distance beyond which all distances are the same, world units.
     """
 
-    def __init__(self, device: Device, bricks: NDArray[np.integer], voxel: float, truncation: float
-                 ) -> None:
+    def __init__(self, device: Device, bricks: NDArray[np.integer], voxel: float, truncation: float) -> None:
         self._device, self._voxel, self._truncation = device, voxel, truncation
         self._bricks = device.upload(np.asarray(bricks, np.int32))
         self._sums = device.zeros((SUMS, len(bricks), BRICK_SIDE**3))
 
-    def add(self, chosen: NDArray[np.integer], camera: Camera, near: float, depth: Array,
-            first: Array, transmittance: Array, image: Array) -> None:
+    def add(
+        self,
+        chosen: NDArray[np.integer],
+        camera: Camera,
+        near: float,
+        depth: Array,
+        first: Array,
+        transmittance: Array,
+        image: Array,
+    ) -> None:
         """Add what a view shows.
 
         Parameters
@@ -59,11 +78,22 @@ class Volume:
         height, width = depth.shape
         if len(chosen) and min(width, height) > 1:
             self._device.launch(
-                SIGNED_DISTANCE, count=len(self._bricks), chosen_count=len(chosen), width=width,
-                height=height, voxel=self._voxel, truncation=self._truncation,
-                bricks=self._bricks, chosen=self._device.upload(np.asarray(chosen, np.uint32)),
-                camera=pack_camera(self._device, camera, near), depth=depth, first=first,
-                transmittance=transmittance, image=image, sums=self._sums)
+                SIGNED_DISTANCE,
+                count=len(self._bricks),
+                chosen_count=len(chosen),
+                width=width,
+                height=height,
+                voxel=self._voxel,
+                truncation=self._truncation,
+                bricks=self._bricks,
+                chosen=self._device.upload(np.asarray(chosen, np.uint32)),
+                camera=pack_camera(self._device, camera, near),
+                depth=depth,
+                first=first,
+                transmittance=transmittance,
+                image=image,
+                sums=self._sums,
+            )
 
     def download(self) -> NDArray[np.floating]:
         """real[SUMS, B, BRICK_SIDE, BRICK_SIDE, BRICK_SIDE], see cl/signed_distance.cl."""

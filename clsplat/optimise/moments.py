@@ -1,5 +1,4 @@
-"""How Adam's moments are stored on a device, and what arrays of them mean (cl/include/moments.h).
-"""
+"""How Adam's moments are stored on a device, and what arrays of them mean (cl/include/moments.h)."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -37,8 +36,9 @@ def coded_moments(first: NDArray[Any], second: NDArray[Any]) -> Pair:
 def moment_codes(m: NDArray[Any], v: NDArray[Any]) -> Pair:
     """The nearest codes, uint16 and uint8, of moments."""
     bits_m, bits_v = (
-        (np.ascontiguousarray(values, np.float32).view(np.uint32) + np.uint32(1 << shift - 1))
-        >> np.uint32(shift) for values, shift in ((m, M_SHIFT), (v, V_SHIFT)))
+        (np.ascontiguousarray(values, np.float32).view(np.uint32) + np.uint32(1 << shift - 1)) >> np.uint32(shift)
+        for values, shift in ((m, M_SHIFT), (v, V_SHIFT))
+    )
     first = bits_m << np.uint32(V_BITS) | bits_v & np.uint32((1 << V_BITS) - 1)
     return first.astype(np.uint16), (bits_v >> np.uint32(V_BITS)).astype(np.uint8)
 

@@ -7,14 +7,26 @@ from clsplat.device import Array, Kernel, each
 
 SEEDS = 2**32
 NOISE = Kernel(
-    "noise.cl", "noise", each("count"), count="uint", seed="uint", now="uint", amount="real",
-    has_frozen="uint", counts=("uint", FRAME_COUNTS), frozen=("uint", "F"),
-    log_scales=("real", "N", 3), quaternions=("real", "N", 4), opacity_logits=("real", "N"),
-    positions=("real", "N", 3))
+    "noise.cl",
+    "noise",
+    each("count"),
+    count="uint",
+    seed="uint",
+    now="uint",
+    amount="real",
+    has_frozen="uint",
+    counts=("uint", FRAME_COUNTS),
+    frozen=("uint", "F"),
+    log_scales=("real", "N", 3),
+    quaternions=("real", "N", 4),
+    opacity_logits=("real", "N"),
+    positions=("real", "N", 3),
+)
 
 
-def add_noise(rows: Mapping[str, Array], amount: float, now: int, seed: int, counts: Array,
-              frozen: Array | None = None) -> None:
+def add_noise(
+    rows: Mapping[str, Array], amount: float, now: int, seed: int, counts: Array, frozen: Array | None = None
+) -> None:
     """Move positions at random in place, unless their frame has failed (`counts`).
 
     Each row moves, whether or not it lags behind the last step (adam.py): a random step and the
@@ -24,8 +36,16 @@ def add_noise(rows: Mapping[str, Array], amount: float, now: int, seed: int, cou
     """
     positions = rows["positions"]
     positions.device.launch(
-        NOISE, count=len(positions), seed=seed % SEEDS, now=now, amount=amount,
-        has_frozen=int(frozen is not None), counts=counts,
-        frozen=counts if frozen is None else frozen, log_scales=rows["log_scales"],
-        quaternions=rows["quaternions"], opacity_logits=rows["opacity_logits"],
-        positions=positions)
+        NOISE,
+        count=len(positions),
+        seed=seed % SEEDS,
+        now=now,
+        amount=amount,
+        has_frozen=int(frozen is not None),
+        counts=counts,
+        frozen=counts if frozen is None else frozen,
+        log_scales=rows["log_scales"],
+        quaternions=rows["quaternions"],
+        opacity_logits=rows["opacity_logits"],
+        positions=positions,
+    )

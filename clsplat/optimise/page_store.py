@@ -45,16 +45,23 @@ class PageStore:
     words : name -> the number of 4 bytes in a page.
     """
 
-    def __init__(self, positions: NDArray[np.floating], values: Mapping[str, NDArray[Any]],
-                 folder: Path | None = None,
-                 allocate: Callable[[int], Words] | None = None) -> None:
+    def __init__(
+        self,
+        positions: NDArray[np.floating],
+        values: Mapping[str, NDArray[Any]],
+        folder: Path | None = None,
+        allocate: Callable[[int], Words] | None = None,
+    ) -> None:
         self._folder, self._allocate = folder, allocate or _words
         self._threads, self._spare = ThreadPoolExecutor(THREADS), list[Words]()
         self._kinds = {name: (rows.shape[1:], rows.dtype) for name, rows in values.items()}
-        self.words = {name: PAGE_ROWS * math.prod(shape) * dtype.itemsize // 4
-                      for name, (shape, dtype) in self._kinds.items()}
-        self._together = {name: max(1, BLOCK_WORDS // each)  # pages in a block of memory
-                          for name, each in self.words.items()}
+        self.words = {
+            name: PAGE_ROWS * math.prod(shape) * dtype.itemsize // 4 for name, (shape, dtype) in self._kinds.items()
+        }
+        self._together = {
+            name: max(1, BLOCK_WORDS // each)  # pages in a block of memory
+            for name, each in self.words.items()
+        }
         self._arrange(positions)
         self._blocks = {name: self._new_blocks(name) for name in values}
         for name, rows in values.items():
@@ -73,7 +80,7 @@ class PageStore:
         """uint32[count, words], pages of an array from `first` on, which lie in one block."""
         block, place = divmod(first, self._together[name])
         words = self.words[name]
-        return self._blocks[name][block][place * words:(place + count) * words].reshape(-1, words)
+        return self._blocks[name][block][place * words : (place + count) * words].reshape(-1, words)
 
     def together(self, name: str, pages: NDArray[np.integer]) -> NDArray[np.integer]:
         """The block in which each of the pages of an array lies."""
@@ -87,12 +94,15 @@ class PageStore:
 
         def of_pages(first: int) -> None:
             count = min(SPAN, together - first % together, self.pages - first)
-            numbers = self.order[first * PAGE_ROWS:(first + count) * PAGE_ROWS]
+            numbers = self.order[first * PAGE_ROWS : (first + count) * PAGE_ROWS]
             memory = self.memory(name, first, count).reshape(-1).view(dtype).reshape(-1, *shape)
-            work(memory[:len(numbers)], numbers)
+            work(memory[: len(numbers)], numbers)
 
-        firsts = [first for block in range(0, self.pages, together)
-                  for first in range(block, min(block + together, self.pages), SPAN)]
+        firsts = [
+            first
+            for block in range(0, self.pages, together)
+            for first in range(block, min(block + together, self.pages), SPAN)
+        ]
         for _ in self._threads.map(of_pages, firsts):
             pass
 
@@ -108,11 +118,9 @@ class PageStore:
         together, words = self._together[name], self.words[name]
         if self.pages * self.page_bytes > HOST_SHARE * host_memory():
             whole = self._file(self.pages * words)
-            return [whole[first * words:(first + together) * words]
-                    for first in range(0, self.pages, together)]
+            return [whole[first * words : (first + together) * words] for first in range(0, self.pages, together)]
         size = max(BLOCK_WORDS, *self.words.values())
-        return [self._spare.pop() if self._spare else self._allocate(size)
-                for _ in range(0, self.pages, together)]
+        return [self._spare.pop() if self._spare else self._allocate(size) for _ in range(0, self.pages, together)]
 
     def _file(self, words: int) -> Words:
         folder, nbytes = self._folder or Path(tempfile.gettempdir()), 4 * words
@@ -126,10 +134,12 @@ class PageStore:
             raise InputError(
                 f"{folder}: no room for {nbytes >> 20:,} MiB of gaussians that fit neither the "
                 f"device nor the host's memory ({reason(error)}); free some, or use "
-                "--max-gaussians") from None
+                "--max-gaussians"
+            ) from None
 
     def _fill(self, name: str, rows_of: Callable[[NDArray[np.uint32]], NDArray[Any]]) -> None:
         """Put rows of an array in all pages; `rows_of` returns those of these numbers."""
+
         def fill(rows: NDArray[Any], numbers: NDArray[np.uint32]) -> None:
             rows[:] = rows_of(numbers)
 
@@ -154,6 +164,7 @@ class PageStore:
 
     def write(self, name: str, values: NDArray[Any], first: int = 0) -> None:
         """Overwrite rows of an array from row `first` on."""
+
         def write(rows: NDArray[Any], numbers: NDArray[np.uint32]) -> None:
             some = np.flatnonzero((numbers >= first) & (numbers < first + len(values)))
             rows[some] = values[numbers[some] - first]
@@ -162,13 +173,13 @@ class PageStore:
 
     def add_to(self, name: str, total: NDArray[Any]) -> None:
         """Add an array to a sum of earlier ones."""
+
         def add(rows: NDArray[Any], numbers: NDArray[np.uint32]) -> None:
             total[numbers] += rows
 
         self._on_pages(name, add)
 
-    def regrow(self, source: NDArray[np.uint32], kept: int, positions: NDArray[np.floating],
-               inherited: str) -> None:
+    def regrow(self, source: NDArray[np.uint32], kept: int, positions: NDArray[np.floating], inherited: str) -> None:
         """Rearrange the rows as growth does (`Growth`), where `positions` are those of the new
         rows: all take over the array `inherited`, and new ones are 0 in the others."""
         places = self.place[source]
@@ -176,13 +187,13 @@ class PageStore:
         for name in self._kinds:
             old = self._blocks.pop(name)
             self._blocks[name] = self._new_blocks(name)
-            self._fill(name, partial(self._inherited, name, old, places,
-                                     self.count if name == inherited else kept))
+            self._fill(name, partial(self._inherited, name, old, places, self.count if name == inherited else kept))
             if not isinstance(old[0], np.memmap):
                 self._spare += old
 
-    def _inherited(self, name: str, old: list[Words], places: NDArray[np.uint32], kept: int,
-                   rows: NDArray[np.uint32]) -> NDArray[Any]:
+    def _inherited(
+        self, name: str, old: list[Words], places: NDArray[np.uint32], kept: int, rows: NDArray[np.uint32]
+    ) -> NDArray[Any]:
         """Rows of an array, from the old blocks and the places that each had there; those from
         `kept` on are 0."""
         shape, dtype = self._kinds[name]
@@ -203,7 +214,7 @@ def _words(number: int) -> Words:
 def spatial_order(positions: NDArray[np.floating]) -> NDArray[np.uint32]:
     """uint32[N], rows in an order in which neighbours are near each other (Morton 1966)."""
     finite = np.nan_to_num(positions.astype(np.float32), posinf=0, neginf=0)
-    low, high = np.quantile(finite[::max(1, len(finite) // 10_000)], (0.01, 0.99), axis=0)
+    low, high = np.quantile(finite[:: max(1, len(finite) // 10_000)], (0.01, 0.99), axis=0)
     scale = (1 << BITS) / max(float((high - low).max()), 1e-30)  # cells are cubes
     cells = np.clip((finite - low) * scale, 0, (1 << BITS) - 1).astype(np.uint32)
     keys = np.zeros(len(cells), np.uint64)
@@ -215,6 +226,6 @@ def spatial_order(positions: NDArray[np.floating]) -> NDArray[np.uint32]:
 
 def _spread(values: NDArray[np.uint32]) -> NDArray[np.uint64]:
     """The lower 10 bits of numbers, two zeros between any two."""
-    for shift, mask in ((16, 0x030000ff), (8, 0x0300f00f), (4, 0x030c30c3), (2, 0x09249249)):
+    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
         values = (values | values << np.uint32(shift)) & np.uint32(mask)
     return values.astype(np.uint64)

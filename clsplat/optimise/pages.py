@@ -27,12 +27,35 @@ FREED_SHARE = 1 / 64  # of the slots: so many more than needed get free at a tim
 MANY_MORE = 1.1  # times as many slots, for which all are made anew
 PAGED = (("PAGED", 1),)
 
-MARK = Kernel("pages.cl", "mark_pages", each("count"), count="uint", flags=("uint", "N"),
-              places=("uint", "N"), wanted=("uint", "Q"))
-REQUIRE = Kernel("pages.cl", "require_pages", each("pages"), pages="uint", clears="uint",
-                 slots=("uint", "Q"), wanted=("uint", "Q"), counts=("uint", FRAME_COUNTS))
-REST_ROWS = Kernel("pages.cl", "rest_rows", each("count"), count="uint", rows=("uint", "C"),
-                   places=("uint", "N"), slots=("uint", "Q"), lies=("uint", "C"))
+MARK = Kernel(
+    "pages.cl",
+    "mark_pages",
+    each("count"),
+    count="uint",
+    flags=("uint", "N"),
+    places=("uint", "N"),
+    wanted=("uint", "Q"),
+)
+REQUIRE = Kernel(
+    "pages.cl",
+    "require_pages",
+    each("pages"),
+    pages="uint",
+    clears="uint",
+    slots=("uint", "Q"),
+    wanted=("uint", "Q"),
+    counts=("uint", FRAME_COUNTS),
+)
+REST_ROWS = Kernel(
+    "pages.cl",
+    "rest_rows",
+    each("count"),
+    count="uint",
+    rows=("uint", "C"),
+    places=("uint", "N"),
+    slots=("uint", "Q"),
+    lies=("uint", "C"),
+)
 
 
 @dataclass(eq=False)
@@ -90,8 +113,7 @@ class Pages:
         self.leave()
         self.store.write(name, values, first)
 
-    def regrow(self, source: NDArray[np.uint32], kept: int, positions: NDArray[np.floating],
-               inherited: str) -> None:
+    def regrow(self, source: NDArray[np.uint32], kept: int, positions: NDArray[np.floating], inherited: str) -> None:
         """As `PageStore.regrow`."""
         self.leave()
         self.store.regrow(source, kept, positions, inherited)
@@ -130,7 +152,8 @@ class Pages:
         if fewer < 1:
             raise OutOfDeviceMemory(
                 f"{self.device.name}: no room for the harmonics of {PAGE_ROWS:,} gaussians: use a "
-                "larger --memory-budget, --max-gaussians or --sh-degree")
+                "larger --memory-budget, --max-gaussians or --sh-degree"
+            )
         self.settle()
         self._make_slots(fewer)
         self._most = fewer
@@ -139,8 +162,7 @@ class Pages:
         """Note that a launch that follows may change all pages that have a slot."""
         self._changed[self._page >= 0] = True
 
-    def fetch(self, wanted: NDArray[np.bool_],
-              wanted_next: Callable[[], NDArray[np.integer]] | None = None) -> None:
+    def fetch(self, wanted: NDArray[np.bool_], wanted_next: Callable[[], NDArray[np.integer]] | None = None) -> None:
         """Bring pages, bool[pages], to the device; TooFewPages where they do not fit.
 
         `wanted_next` returns when each page will be wanted again, int[pages]: those that will be
@@ -155,7 +177,8 @@ class Pages:
             raise TooFewPages(
                 f"{self.device.name}: a view sees {number * PAGE_ROWS:,} gaussians, and there is "
                 f"room for the harmonics of {self.room * PAGE_ROWS:,}: use a larger "
-                "--memory-budget, --max-gaussians or --sh-degree")
+                "--memory-budget, --max-gaussians or --sh-degree"
+            )
         self._now += 1
         here = self._slot[wanted]
         self._used[here[here >= 0]] = self._now
@@ -166,13 +189,14 @@ class Pages:
         if len(free) < len(missing):
             self._free_slots(len(missing) - len(free), wanted, wanted_next)
             free = np.flatnonzero(self._page < 0)
-        taken = free[:len(missing)]
+        taken = free[: len(missing)]
         self._slot[missing], self._page[taken], self._used[taken] = taken, missing, self._now
         self._bring(taken, missing)
         self._write_table()
 
-    def _free_slots(self, least: int, wanted: NDArray[np.bool_],
-                    wanted_next: Callable[[], NDArray[np.integer]] | None) -> None:
+    def _free_slots(
+        self, least: int, wanted: NDArray[np.bool_], wanted_next: Callable[[], NDArray[np.integer]] | None
+    ) -> None:
         """Take out at least so many pages, and some more, of those that are not wanted."""
         staying = self._used / (self._now + 1)  # less than 1
         if wanted_next:
@@ -184,8 +208,7 @@ class Pages:
         self._take_out(taken[self._changed[taken]])
         self._slot[self._page[taken]], self._page[taken] = -1, -1
 
-    def bring(self, wanted: NDArray[np.bool_],
-              wanted_next: Callable[[], NDArray[np.integer]] | None = None) -> bool:
+    def bring(self, wanted: NDArray[np.bool_], wanted_next: Callable[[], NDArray[np.integer]] | None = None) -> bool:
         """As `fetch`; False where these pages do not fit."""
         try:
             self.fetch(wanted, wanted_next)
@@ -193,15 +216,14 @@ class Pages:
             return False
         return True
 
-    def rounds_of(self, rows: NDArray[np.uint32]
-                  ) -> Iterator[tuple[NDArray[np.uint32], NDArray[np.uint32]]]:
+    def rounds_of(self, rows: NDArray[np.uint32]) -> Iterator[tuple[NDArray[np.uint32], NDArray[np.uint32]]]:
         """Bring the pages of some rows, one group after another: the index and the number of those
         that are there then."""
         page_of = self.store.place[rows] // PAGE_ROWS
         wanted = np.unique(page_of)
         for begin in range(0, len(wanted), self.room):
             some = np.zeros(self.pages, bool)
-            some[wanted[begin:begin + self.room]] = True
+            some[wanted[begin : begin + self.room]] = True
             self.fetch(some)
             index = np.flatnonzero(some[page_of]).astype(np.uint32)
             yield index, rows[index]
@@ -214,7 +236,7 @@ class Pages:
         few = max(1, min(size, int(FREED_SHARE * self.room)))  # others take turns in a few slots
         for pages, together in ((np.flatnonzero(there), size), (np.flatnonzero(~there), few)):
             for begin in range(0, len(pages), together):
-                group = pages[begin:begin + together]
+                group = pages[begin : begin + together]
                 wanted = np.zeros(self.pages, bool)
                 wanted[group] = True
                 self.fetch(wanted)
@@ -247,27 +269,25 @@ class Pages:
         kernels so far have ended; what comes to these slots later does so after that."""
         self._transfers.follow_kernels()
         for name, first, page, count in self._runs(slots, self._page[slots], only):
-            self._transfers.read(self._slots_of[name], first,
-                                 self.store.memory(name, page, count))
+            self._transfers.read(self._slots_of[name], first, self.store.memory(name, page, count))
         if not only:
             self._changed[slots] = False
 
     def _bring(self, slots: NDArray[np.int64], pages: NDArray[np.int64]) -> None:
         """Begin to copy pages to slots; kernels that follow wait for the end of it."""
         for name, first, page, count in self._runs(slots, pages):
-            self._transfers.write(self._slots_of[name], first,
-                                  self.store.memory(name, page, count))
+            self._transfers.write(self._slots_of[name], first, self.store.memory(name, page, count))
         self._transfers.lead_kernels()
 
-    def _runs(self, slots: NDArray[np.int64], pages: NDArray[np.int64], only: str = ""
-              ) -> Iterator[tuple[str, int, int, int]]:
+    def _runs(
+        self, slots: NDArray[np.int64], pages: NDArray[np.int64], only: str = ""
+    ) -> Iterator[tuple[str, int, int, int]]:
         """(Name of an array, first slot, first page, their number) of all that travel together, as
         they are neighbours on both sides; `only` of one array."""
         order = np.argsort(slots)
         slots, pages = slots[order], pages[order]
         for name in ([only] if only else self.store.words) if len(slots) else ():
-            ends = (np.diff(slots) != 1) | (np.diff(pages) != 1) | (
-                np.diff(self.store.together(name, pages)) != 0)
+            ends = (np.diff(slots) != 1) | (np.diff(pages) != 1) | (np.diff(self.store.together(name, pages)) != 0)
             firsts = np.concatenate([[0], np.flatnonzero(ends) + 1, [len(slots)]])
             for first, count in zip(firsts.tolist(), np.diff(firsts).tolist()):
                 yield name, int(slots[first]), int(pages[first]), count
@@ -296,12 +316,14 @@ class Pages:
         """Let the frame of `counts` fail where a page of flagged rows, or of rows that were flagged
         since it was cleared, has no slot."""
         self.mark(flags, self._wanted)
-        self.device.launch(REQUIRE, pages=self.pages, clears=int(clears), slots=self.slots,
-                           wanted=self._wanted, counts=counts)
+        self.device.launch(
+            REQUIRE, pages=self.pages, clears=int(clears), slots=self.slots, wanted=self._wanted, counts=counts
+        )
 
     def rest_of(self, rows: Array) -> Array:
         """uint[C], where the rows uint[C] lie in `arrays`; their pages must be there."""
         lies = self.device.empty(len(rows), np.uint32)
-        self.device.launch(REST_ROWS, PAGED, count=len(rows), rows=rows, places=self.places,
-                           slots=self.slots, lies=lies)
+        self.device.launch(
+            REST_ROWS, PAGED, count=len(rows), rows=rows, places=self.places, slots=self.slots, lies=lies
+        )
         return lies

@@ -20,16 +20,37 @@ PULL = 100.0  # weight of half the squared correction in the loss, radians
 
 _ROWS, _CAMERA = ("real", "V", POSE_REALS), ("real", CAMERA_REALS)
 _PARTIALS = ("real", "P", POSE_REALS)
-APPLY = Kernel("pose.cl", "pose_apply", items("1"), view="uint", depth="real", camera=_CAMERA,
-               poses=_ROWS, corrected=_CAMERA)
-SUMS = Kernel("pose.cl", "pose_sums",
-              Forms(item=each("blocks"), group=groups("blocks", "SCAN_GROUP")), rows="uint",
-              blocks="uint", counts=("uint", FRAME_COUNTS), pose_terms=("real", "T", POSE_REALS),
-              partials=_PARTIALS)
-STEP = Kernel("pose.cl", "pose_step", groups("1", "16"), view="uint", rate="real", pull="real",
-              depth="real", blocks="uint", counts=("uint", FRAME_COUNTS), camera=_CAMERA,
-              partials=_PARTIALS, poses=_ROWS, m=_ROWS, v=_ROWS, steps=("uint", "V"),
-              skipped=("uint", 1))
+APPLY = Kernel(
+    "pose.cl", "pose_apply", items("1"), view="uint", depth="real", camera=_CAMERA, poses=_ROWS, corrected=_CAMERA
+)
+SUMS = Kernel(
+    "pose.cl",
+    "pose_sums",
+    Forms(item=each("blocks"), group=groups("blocks", "SCAN_GROUP")),
+    rows="uint",
+    blocks="uint",
+    counts=("uint", FRAME_COUNTS),
+    pose_terms=("real", "T", POSE_REALS),
+    partials=_PARTIALS,
+)
+STEP = Kernel(
+    "pose.cl",
+    "pose_step",
+    groups("1", "16"),
+    view="uint",
+    rate="real",
+    pull="real",
+    depth="real",
+    blocks="uint",
+    counts=("uint", FRAME_COUNTS),
+    camera=_CAMERA,
+    partials=_PARTIALS,
+    poses=_ROWS,
+    m=_ROWS,
+    v=_ROWS,
+    steps=("uint", "V"),
+    skipped=("uint", 1),
+)
 
 
 class Poses:
@@ -50,8 +71,7 @@ class Poses:
     corrected : real[27], the packed camera of the view at hand.
     """
 
-    def __init__(self, device: Device, cameras: Sequence[Camera], depth: float,
-                 pull: float = PULL) -> None:
+    def __init__(self, device: Device, cameras: Sequence[Camera], depth: float, pull: float = PULL) -> None:
         self.device, self.cameras, self.depth, self.pull = device, cameras, depth, pull
         self.poses, self.m, self.v = (device.zeros((len(cameras), POSE_REALS)) for _ in range(3))
         self.steps, self.skipped = (device.zeros(count, np.uint32) for count in (len(cameras), 1))
@@ -60,8 +80,9 @@ class Poses:
     def apply(self, view: int, camera: Array) -> Array:
         """`corrected` for a view's packed camera real[27], as it was given, for an image of any
         size; the next call overwrites it on the device."""
-        self.device.launch(APPLY, view=view, depth=self.depth, camera=camera, poses=self.poses,
-                           corrected=self.corrected)
+        self.device.launch(
+            APPLY, view=view, depth=self.depth, camera=camera, poses=self.poses, corrected=self.corrected
+        )
         return self.corrected
 
     def step(self, view: int, rate: float, camera: Array, pose_terms: Array, counts: Array) -> None:
@@ -73,12 +94,23 @@ class Poses:
         rows = len(pose_terms)
         blocks = max(1, -(-rows // POSE_BLOCK))
         partials = self.device.empty((blocks, POSE_REALS))
-        self.device.launch(SUMS, rows=rows, blocks=blocks, counts=counts, pose_terms=pose_terms,
-                           partials=partials)
-        self.device.launch(STEP, view=view, rate=rate, pull=self.pull, depth=self.depth,
-                           blocks=blocks, counts=counts, camera=camera, partials=partials,
-                           poses=self.poses, m=self.m, v=self.v, steps=self.steps,
-                           skipped=self.skipped)
+        self.device.launch(SUMS, rows=rows, blocks=blocks, counts=counts, pose_terms=pose_terms, partials=partials)
+        self.device.launch(
+            STEP,
+            view=view,
+            rate=rate,
+            pull=self.pull,
+            depth=self.depth,
+            blocks=blocks,
+            counts=counts,
+            camera=camera,
+            partials=partials,
+            poses=self.poses,
+            m=self.m,
+            v=self.v,
+            steps=self.steps,
+            skipped=self.skipped,
+        )
 
     def corrections(self) -> list[Correction]:
         """The corrections of the views; waits for the device."""
@@ -111,4 +143,4 @@ def pose_rate(progress: float) -> float:
     """The learning rate of poses at a progress of 0 to 1: 0 in the warm-up, then RATE, radians,
     which decays exponentially."""
     after = (progress - WARM_UP) / (1 - WARM_UP)
-    return float(RATE * DECAY**min(1.0, after)) if after >= 0 else 0.0
+    return float(RATE * DECAY ** min(1.0, after)) if after >= 0 else 0.0

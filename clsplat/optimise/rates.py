@@ -12,8 +12,7 @@ POSITION_DECAY = 0.01  # share of the rate of positions left at the last step (K
 AVERAGED_PIXELS, AVERAGED_DECAY, AVERAGED_FACTOR = 0.1, 0.1, 3.0
 
 
-def learning_rates(decay: float, extent: float, pixel: float, options: OptimiseOptions
-                   ) -> dict[str, float]:
+def learning_rates(decay: float, extent: float, pixel: float, options: OptimiseOptions) -> dict[str, float]:
     """The learning rate of each field; that of the positions decays exponentially as `decay` goes
     from 0 to 1. It scales with the `extent` of the scene, world units, or where the last steps are
     averaged with the size of a `pixel` of the photos at the scene, world units."""

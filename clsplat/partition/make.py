@@ -70,27 +70,31 @@ class _Input:
         self.content = geometry.world_of(scene, gaussians.positions)
         self.weights = np.isfinite(self.content).all(axis=1).astype(float)
         if not self.weights.any():
-            raise InputError(f"{scene.name}: there is nothing to divide among blocks, since the "
-                             "coarse model has no gaussians; train it again")
+            raise InputError(
+                f"{scene.name}: there is nothing to divide among blocks, since the "
+                "coarse model has no gaussians; train it again"
+            )
         self.rotation = geometry.ground_axes(scene.up, self.content, self.weights)
 
-    def content_box(self, shares: Sequence[tuple[float, float]] = 2 * (CONTENT_QUANTILES,)
-                    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def content_box(
+        self, shares: Sequence[tuple[float, float]] = 2 * (CONTENT_QUANTILES,)
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The low [3] and high [3] corner, along u, v and up in world units, of what is divided.
 
         Along u and v these are the quantiles `shares` of the content. Along up the box contains all
         content but outliers, and all cameras.
         """
         along = self.content @ self.rotation.T
-        up = np.concatenate([quantiles(along[:, 2], self.weights, CONTENT_QUANTILES),
-                             self.cameras @ self.rotation[2]])
-        low, high = np.transpose([quantiles(along[:, axis], self.weights, share)
-                                  for axis, share in enumerate(shares)])
+        up = np.concatenate([quantiles(along[:, 2], self.weights, CONTENT_QUANTILES), self.cameras @ self.rotation[2]])
+        low, high = np.transpose([quantiles(along[:, axis], self.weights, share) for axis, share in enumerate(shares)])
         return np.array([*low, up.min()]), np.array([*high, up.max()])
 
-    def space(self, contracted: bool = False,
-              shares: Sequence[tuple[float, float]] = 2 * (CONTENT_QUANTILES,),
-              stretch: Sequence[float] = (1.0, 1.0)) -> Space:
+    def space(
+        self,
+        contracted: bool = False,
+        shares: Sequence[tuple[float, float]] = 2 * (CONTENT_QUANTILES,),
+        stretch: Sequence[float] = (1.0, 1.0),
+    ) -> Space:
         """The Space whose area of interest is `content_box(shares)`, with its sides along u and v
         multiplied by `stretch` [2]."""
         low, high = self.content_box(shares)
@@ -100,8 +104,13 @@ class _Input:
         return Space(self.rotation, (low + high) / 2 @ self.rotation, half, contracted)
 
 
-def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians,
-                   views: NDArray[np.integer], drop: DropTest | None = None) -> Partition:
+def make_partition(
+    scene: Scene,
+    options: PartitionOptions,
+    gaussians: Gaussians,
+    views: NDArray[np.integer],
+    drop: DropTest | None = None,
+) -> Partition:
     """Cut a scene into blocks, and assign views to them; InputError if there are no gaussians.
 
     Parameters
@@ -123,11 +132,15 @@ def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians
         regions, assigned = _vastgs(data, grid, options.margin)
     regions, assigned = _join_starved(data, options, regions, assigned)
     seen = np.bincount(data.observed_views, minlength=len(data.views))
-    dropped = {int(data.views[view]): "it shows too little of every block" if seen[view] else
-               "it sees no point of the sparse model"
-               for view in np.flatnonzero(~assigned.any(axis=0))}
-    return Partition(options.method, tuple(regions),
-                     tuple(data.views[np.flatnonzero(row)] for row in assigned), dropped)
+    dropped = {
+        int(data.views[view]): "it shows too little of every block"
+        if seen[view]
+        else "it sees no point of the sparse model"
+        for view in np.flatnonzero(~assigned.any(axis=0))
+    }
+    return Partition(
+        options.method, tuple(regions), tuple(data.views[np.flatnonzero(row)] for row in assigned), dropped
+    )
 
 
 def choose_grid(needed: int, aspect: float) -> tuple[int, int]:
@@ -140,11 +153,13 @@ def choose_grid(needed: int, aspect: float) -> tuple[int, int]:
     def cost(shape: tuple[int, int]) -> float:  # of additional cells, and of elongated ones
         n, m = shape
         return math.log(n * m / needed) + abs(math.log(aspect * m / n))
+
     return min(shapes, key=cost)
 
 
-def _join_starved(data: _Input, options: PartitionOptions, regions: Sequence[Region],
-                  assigned: NDArray[np.bool_]) -> Cut:
+def _join_starved(
+    data: _Input, options: PartitionOptions, regions: Sequence[Region], assigned: NDArray[np.bool_]
+) -> Cut:
     """Join blocks with too few gaussians or views one by one, those with the least content first.
 
     Each is joined to the neighbour with the least content among those with which it makes a box.
@@ -154,14 +169,17 @@ def _join_starved(data: _Input, options: PartitionOptions, regions: Sequence[Reg
     owner = Cells(cells).at(cells[0].space.to(data.content))
     counts = np.bincount(owner[owner >= 0], minlength=len(cells)).tolist()
     while len(cells) > 1:
-        starved = [block for block, (cell, count, seen) in enumerate(zip(cells, counts, views))
-                   if (count < options.least_gaussians or seen.sum() < options.least_views)
-                   and cell not in alone]
+        starved = [
+            block
+            for block, (cell, count, seen) in enumerate(zip(cells, counts, views))
+            if (count < options.least_gaussians or seen.sum() < options.least_views) and cell not in alone
+        ]
         if not starved:
             break
         poorest = min(starved, key=counts.__getitem__)
-        unions = {other: union for other, region in enumerate(cells)
-                  if (union := _union(cells[poorest], region)) is not None}
+        unions = {
+            other: union for other, region in enumerate(cells) if (union := _union(cells[poorest], region)) is not None
+        }
         if not unions:
             alone.append(cells[poorest])
             continue
@@ -185,8 +203,7 @@ def _union(a: Region, b: Region) -> Region | None:
     return replace(a, low=np.minimum(a.low, b.low), high=np.maximum(a.high, b.high))
 
 
-def _citygs(data: _Input, grid: tuple[int, int], options: PartitionOptions,
-            drop: DropTest | None) -> Cut:
+def _citygs(data: _Input, grid: tuple[int, int], options: PartitionOptions, drop: DropTest | None) -> Cut:
     """Cut the scene into the cells of a uniform N x M grid along u and v, row by row.
 
     A view is assigned to the cell that contains its camera, and to those without whose gaussians
@@ -195,9 +212,11 @@ def _citygs(data: _Input, grid: tuple[int, int], options: PartitionOptions,
     """
     space = _contracted(data, grid)
     across, along = ([-np.inf, *(np.arange(1, n) / n), np.inf] for n in grid)  # unbounded ends
-    regions = [Region(space, np.array([u0, v0, -np.inf]), np.array([u1, v1, np.inf]),
-                      options.margin)
-               for v0, v1 in zip(along, along[1:]) for u0, u1 in zip(across, across[1:])]
+    regions = [
+        Region(space, np.array([u0, v0, -np.inf]), np.array([u1, v1, np.inf]), options.margin)
+        for v0, v1 in zip(along, along[1:])
+        for u0, u1 in zip(across, across[1:])
+    ]
     cameras = space.to(data.cameras)
     assigned = np.array([region.holds(cameras) for region in regions])
     if len(regions) == 1:
@@ -254,8 +273,13 @@ def _visible_cells(data: _Input, owner: NDArray[np.integer]) -> Iterator[NDArray
         beside_x, beside_y = IMAGE_MARGIN * camera.width, IMAGE_MARGIN * camera.height
         near = clusters.near_view(camera, 0.0, max(beside_x, beside_y))
         (x, y), depth = (each.T for each in camera.project(places[near]))
-        shown = ((depth > 0) & (x > -beside_x) & (x < camera.width + beside_x)
-                 & (y > -beside_y) & (y < camera.height + beside_y))
+        shown = (
+            (depth > 0)
+            & (x > -beside_x)
+            & (x < camera.width + beside_x)
+            & (y > -beside_y)
+            & (y < camera.height + beside_y)
+        )
         yield np.flatnonzero(np.bincount(owner[near[shown]] + 1)[1:])
 
 
@@ -276,8 +300,9 @@ def _blockgs(data: _Input, blocks: int, margin: float) -> Cut:
     return regions, _seen_by_tracks(data, [region.grown(region.margin) for region in regions])
 
 
-def _balanced(whole: Region, coordinates: NDArray[np.float64], weights: NDArray[np.float64],
-              count: int) -> list[Region]:
+def _balanced(
+    whole: Region, coordinates: NDArray[np.float64], weights: NDArray[np.float64], count: int
+) -> list[Region]:
     """Cut a region into `count` Regions that contain about the same with their margins.
 
     Margins of cells with equal content contain up to twice as much in one block as in another. So
@@ -288,8 +313,7 @@ def _balanced(whole: Region, coordinates: NDArray[np.float64], weights: NDArray[
     counted = weights.copy()
     for _ in range(ROUNDS):
         regions = _bisected(whole, coordinates, counted, count)
-        reached = np.array([weights[region.grown(region.margin).holds(coordinates)].sum()
-                            for region in regions])
+        reached = np.array([weights[region.grown(region.margin).holds(coordinates)].sum() for region in regions])
         found.append((reached.max(), regions))
         if reached.max() <= BALANCED * reached.mean():
             break
@@ -298,8 +322,9 @@ def _balanced(whole: Region, coordinates: NDArray[np.float64], weights: NDArray[
     return min(found, key=lambda pair: pair[0])[1]
 
 
-def _bisected(region: Region, coordinates: NDArray[np.float64], weights: NDArray[np.float64],
-              count: int) -> list[Region]:
+def _bisected(
+    region: Region, coordinates: NDArray[np.float64], weights: NDArray[np.float64], count: int
+) -> list[Region]:
     """Cut a region with the content `coordinates` [K, 3] into `count` Regions."""
     if count == 1:
         return [region]
@@ -312,8 +337,9 @@ def _bisected(region: Region, coordinates: NDArray[np.float64], weights: NDArray
         return [region]
     lower, upper = region.cut(axis, at)
     below = coordinates[:, axis] < at
-    return (_bisected(lower, coordinates[below], weights[below], count // 2)
-            + _bisected(upper, coordinates[~below], weights[~below], count - count // 2))
+    return _bisected(lower, coordinates[below], weights[below], count // 2) + _bisected(
+        upper, coordinates[~below], weights[~below], count - count // 2
+    )
 
 
 def _vastgs(data: _Input, grid: tuple[int, int], margin: float) -> Cut:
@@ -324,8 +350,11 @@ def _vastgs(data: _Input, grid: tuple[int, int], margin: float) -> Cut:
     """
     space = data.space()
     cameras, content = space.to(data.cameras), space.to(data.content)
-    regions = [cell for strip in _strips(Region(space, margin=margin), cameras, 0, grid[0])
-               for cell in _strips(strip, cameras, 1, grid[1])]
+    regions = [
+        cell
+        for strip in _strips(Region(space, margin=margin), cameras, 0, grid[0])
+        for cell in _strips(strip, cameras, 1, grid[1])
+    ]
     assigned = np.array([region.grown(margin).holds(cameras) for region in regions])
     # unbounded sides end with the area of interest
     boxes = np.array([(region.low, region.high) for region in regions]).clip(-1, 1)
@@ -352,13 +381,16 @@ def _strips(region: Region, cameras: NDArray[np.float64], axis: int, count: int)
     return [*strips, region]
 
 
-def _filled(camera: Camera, origin: NDArray[np.float64], space: Space, boxes: NDArray[np.float64]
-            ) -> NDArray[np.float64]:
+def _filled(
+    camera: Camera, origin: NDArray[np.float64], space: Space, boxes: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """The share [B] of the image of a camera at `origin` whose rays meet each box [B, 2, 3] of the
     space. (Projected corners would not do: some may lie behind the camera.)"""
     at = (np.arange(RAYS_PER_SIDE) + 0.5) / RAYS_PER_SIDE
-    x, y = np.meshgrid((at * camera.width - camera.centre[0]) / camera.focal[0],
-                       (at * camera.height - camera.centre[1]) / camera.focal[1])
+    x, y = np.meshgrid(
+        (at * camera.width - camera.centre[0]) / camera.focal[0],
+        (at * camera.height - camera.centre[1]) / camera.focal[1],
+    )
     rays = np.stack([x, y, np.ones_like(x)], axis=2).reshape(-1, 3)
     rays = rays @ camera.rotation @ space.rotation.T / space.half
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -380,14 +412,12 @@ def _seen_by_tracks(data: _Input, regions: Sequence[Region]) -> NDArray[np.bool_
     coordinates = regions[0].space.to(data.points)
     for block, region in enumerate(regions):
         inside = region.holds(coordinates)
-        shared = np.bincount(data.observed_views[inside[data.observed_points]],
-                             minlength=len(data.views))
+        shared = np.bincount(data.observed_views[inside[data.observed_points]], minlength=len(data.views))
         sees[block] = (shared > LEAST_OF_VIEW * of_view) | (shared > LEAST_OF_CELL * inside.sum())
     return sees
 
 
-def _best_cut(values: NDArray[np.floating], weights: NDArray[np.floating], share: float
-             ) -> float | None:
+def _best_cut(values: NDArray[np.floating], weights: NDArray[np.floating], share: float) -> float | None:
     """The number below which about `share` of the weight of `values` [N] lies.
 
     It is halfway between two neighbouring values. None if all values are equal.

@@ -47,12 +47,12 @@ class Space:
     def __post_init__(self) -> None:
         for name in ("rotation", "origin", "half"):
             object.__setattr__(self, name, np.array(getattr(self, name), np.float64))
-        if ((self.rotation.shape, self.origin.shape, self.half.shape) != ((3, 3), (3,), (3,))
-                or not np.allclose(self.rotation @ self.rotation.T, np.eye(3), 0,
-                                   ROTATION_TOLERANCE)
-                or not (np.isfinite([self.origin, self.half]) & (self.half > 0)).all()):
-            raise ValueError("a space needs an orthonormal rotation, a finite origin and three "
-                             "positive half sides")
+        if (
+            (self.rotation.shape, self.origin.shape, self.half.shape) != ((3, 3), (3,), (3,))
+            or not np.allclose(self.rotation @ self.rotation.T, np.eye(3), 0, ROTATION_TOLERANCE)
+            or not (np.isfinite([self.origin, self.half]) & (self.half > 0)).all()
+        ):
+            raise ValueError("a space needs an orthonormal rotation, a finite origin and three positive half sides")
 
     def to(self, points: ArrayLike) -> NDArray[np.float64]:
         """Coordinates [N, 3] of world points [N, 3]; nan where a point is not finite."""
@@ -94,14 +94,19 @@ class Space:
 
     def record(self) -> dict[str, Any]:
         """The space as a dict for JSON."""
-        return {"rotation": self.rotation.tolist(), "origin": self.origin.tolist(),
-                "half": self.half.tolist(), "contracted": self.contracted}
+        return {
+            "rotation": self.rotation.tolist(),
+            "origin": self.origin.tolist(),
+            "half": self.half.tolist(),
+            "contracted": self.contracted,
+        }
 
     @classmethod
     def from_record(cls, record: Any) -> Space:
         """The Space that `record` described; one of DAMAGED for anything else."""
-        return cls(**{key: record[key] for key in ("rotation", "origin", "half")},
-                   contracted=bool(record["contracted"]))
+        return cls(
+            **{key: record[key] for key in ("rotation", "origin", "half")}, contracted=bool(record["contracted"])
+        )
 
 
 def map_axes(up: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -111,13 +116,13 @@ def map_axes(up: NDArray[np.float64]) -> NDArray[np.float64]:
     if square < 1e-24:  # up is -z: rotate half a turn about x
         return np.array([[1.0, 0, 0], [0, -1, 0]])
     # the smallest rotation of up to z, as two reflections
-    rotation: NDArray[np.float64] = (
-        np.eye(3) - 2 / square * np.outer(halfway, halfway) + 2 * np.outer(Z, up))
+    rotation: NDArray[np.float64] = np.eye(3) - 2 / square * np.outer(halfway, halfway) + 2 * np.outer(Z, up)
     return rotation[:2]
 
 
-def ground_axes(up: NDArray[np.float64], content: NDArray[np.float64],
-                weights: NDArray[np.float64]) -> NDArray[np.float64]:
+def ground_axes(
+    up: NDArray[np.float64], content: NDArray[np.float64], weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """The axes u, v and up as rows [3, 3], right-handed, with u along the content's longer side.
 
     u and v are the sides of the smallest rectangle around the content [M, 3], without outliers and
@@ -126,16 +131,16 @@ def ground_axes(up: NDArray[np.float64], content: NDArray[np.float64],
     first = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     plane = np.stack([first, np.cross(up, first)]) / np.linalg.norm(first)
     content, weights = content[weights > 0], weights[weights > 0]
-    sampled = content[::-(-len(content) // MOST_TRIED)]
+    sampled = content[:: -(-len(content) // MOST_TRIED)]
     along = (sampled - sampled.mean(axis=0)) @ plane.T
     principal = np.linalg.eigh(along.T @ along)[1][:, 1]
-    angles = (np.arctan2(principal[1], principal[0])
-              + np.arange(ANGLE_STEPS) / ANGLE_STEPS * np.pi / 2)
-    areas = [np.prod(np.ptp(np.quantile(along @ _rotation(angle).T, RECTANGLE_QUANTILES, axis=0),
-                            axis=0)) for angle in angles]
+    angles = np.arctan2(principal[1], principal[0]) + np.arange(ANGLE_STEPS) / ANGLE_STEPS * np.pi / 2
+    areas = [
+        np.prod(np.ptp(np.quantile(along @ _rotation(angle).T, RECTANGLE_QUANTILES, axis=0), axis=0))
+        for angle in angles
+    ]
     axes = _rotation(angles[np.argmin(areas)]) @ plane
-    low, middle, high = np.transpose([quantiles(content @ axis, weights, (0.01, 0.5, 0.99))
-                                      for axis in axes])
+    low, middle, high = np.transpose([quantiles(content @ axis, weights, (0.01, 0.5, 0.99)) for axis in axes])
     longer = int(np.argmax(high - low))
     u = axes[longer] * (1 if high[longer] + low[longer] >= 2 * middle[longer] else -1)
     return np.stack([u, np.cross(up, u), up])
@@ -145,8 +150,9 @@ def _rotation(angle: float) -> NDArray[np.float64]:
     return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
-def quantiles(values: NDArray[np.float64], weights: NDArray[np.float64], shares: Sequence[float]
-              ) -> NDArray[np.float64]:
+def quantiles(
+    values: NDArray[np.float64], weights: NDArray[np.float64], shares: Sequence[float]
+) -> NDArray[np.float64]:
     """Weighted quantiles [K]: the numbers below which `shares` [K] of the weight of `values` lie,
     or where they are many, of every k-th of them."""
     some = slice(None, None, max(1, len(values) // MOST_RANKED))
@@ -161,8 +167,7 @@ def world_of(scene: Scene, points: ArrayLike) -> NDArray[np.float64]:
     return scene.offset + scene.unit * np.asarray(points, np.float64).reshape(-1, 3)
 
 
-def in_parts(function: Callable[..., NDArray[Any]], *rows: NDArray[Any], size: int = PART_ROWS
-             ) -> NDArray[Any]:
+def in_parts(function: Callable[..., NDArray[Any]], *rows: NDArray[Any], size: int = PART_ROWS) -> NDArray[Any]:
     """What a function of rows [N, ...] returns for each row, [N]; it is called with `size` of them
     at a time, in threads: on two cores, that finds which of 4 M rows a block trains in half of the
     time."""
@@ -170,8 +175,9 @@ def in_parts(function: Callable[..., NDArray[Any]], *rows: NDArray[Any], size: i
     if len(firsts) == 1:
         return function(*rows)
     with ThreadPoolExecutor() as threads:
-        return np.concatenate([*threads.map(
-            lambda first: function(*(each[first:first + size] for each in rows)), firsts)])
+        return np.concatenate(
+            [*threads.map(lambda first: function(*(each[first : first + size] for each in rows)), firsts)]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,18 +199,21 @@ class Region:
     def __post_init__(self) -> None:
         for name in ("low", "high"):
             object.__setattr__(self, name, np.array(getattr(self, name), np.float64))
-        if not (self.low.shape == self.high.shape == (3,) and (self.low < self.high).all()
-                and 0 <= self.margin < np.inf):
-            raise ValueError("a cell needs three numbers low below three numbers high, and a "
-                             "finite margin of at least 0")
+        if not (
+            self.low.shape == self.high.shape == (3,) and (self.low < self.high).all() and 0 <= self.margin < np.inf
+        ):
+            raise ValueError(
+                "a cell needs three numbers low below three numbers high, and a finite margin of at least 0"
+            )
 
     @property
     def side(self) -> NDArray[np.float64]:
         """Sides [3] of the cell in its space; unbounded ones are cut where the area of interest
         ends, or contracted space."""
         low, high = (0.0, 1.0) if self.space.contracted else (-1.0, 1.0)
-        side: NDArray[np.float64] = np.maximum(np.where(np.isinf(self.high), high, self.high)
-                                               - np.where(np.isinf(self.low), low, self.low), 0)
+        side: NDArray[np.float64] = np.maximum(
+            np.where(np.isinf(self.high), high, self.high) - np.where(np.isinf(self.low), low, self.low), 0
+        )
         return side
 
     def grown(self, margin: float) -> Region:
@@ -215,8 +224,7 @@ class Region:
         """The two Regions below and above the coordinate `at` along an axis."""
         low, high = self.low.copy(), self.high.copy()
         low[axis] = high[axis] = at
-        return (Region(self.space, self.low, high, self.margin),
-                Region(self.space, low, self.high, self.margin))
+        return (Region(self.space, self.low, high, self.margin), Region(self.space, low, self.high, self.margin))
 
     def owns(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Which world points [N, 3] lie in the cell, as bool[N]; False for those not finite."""
@@ -247,15 +255,16 @@ class Region:
 
     def record(self) -> dict[str, Any]:
         """The region as a dict for JSON; null stands for an unbounded end."""
-        low, high = ([x if np.isfinite(x) else None for x in ends.tolist()]
-                     for ends in (self.low, self.high))
+        low, high = ([x if np.isfinite(x) else None for x in ends.tolist()] for ends in (self.low, self.high))
         return {"space": self.space.record(), "low": low, "high": high, "margin": self.margin}
 
     @classmethod
     def from_record(cls, record: Any) -> Region:
         """The Region that `record` described; one of DAMAGED for anything else."""
-        low, high = (np.array([end if x is None else float(x) for x in record[key]])
-                     for key, end in (("low", -np.inf), ("high", np.inf)))
+        low, high = (
+            np.array([end if x is None else float(x) for x in record[key]])
+            for key, end in (("low", -np.inf), ("high", np.inf))
+        )
         return cls(Space.from_record(record["space"]), low, high, float(record["margin"]))
 
 
@@ -269,8 +278,7 @@ class Cells:
     """
 
     def __init__(self, regions: Sequence[Region]) -> None:
-        low, high = (np.array([getattr(region, name) for region in regions])
-                     for name in ("low", "high"))
+        low, high = (np.array([getattr(region, name) for region in regions]) for name in ("low", "high"))
         self.edges = [np.unique(ends[np.isfinite(ends)]) for ends in np.concatenate([low, high]).T]
         first = [np.searchsorted(e, ends, side="right") for e, ends in zip(self.edges, low.T)]
         end = [np.searchsorted(e, ends, side="left") + 1 for e, ends in zip(self.edges, high.T)]
@@ -283,8 +291,7 @@ class Cells:
 
     def at(self, coordinates: NDArray[np.float64]) -> NDArray[np.integer]:
         """The cell [N] at coordinates [N, 3] of the space; -1 where they are not finite."""
-        place = tuple(np.searchsorted(e, column, side="right")
-                      for e, column in zip(self.edges, coordinates.T))
+        place = tuple(np.searchsorted(e, column, side="right") for e, column in zip(self.edges, coordinates.T))
         return np.where(np.isfinite(coordinates).all(axis=1), self.table[place], -1)
 
 
@@ -335,17 +342,23 @@ class Partition:
 
     def record(self) -> dict[str, Any]:
         """The partition as a dict for JSON."""
-        return {"method": self.method, "space": self.space.record(),
-                "regions": [{key: value for key, value in region.record().items()
-                             if key != "space"} for region in self.regions],
-                "views": [views.tolist() for views in self.views],
-                "dropped": {str(view): why for view, why in self.dropped.items()}}
+        return {
+            "method": self.method,
+            "space": self.space.record(),
+            "regions": [
+                {key: value for key, value in region.record().items() if key != "space"} for region in self.regions
+            ],
+            "views": [views.tolist() for views in self.views],
+            "dropped": {str(view): why for view, why in self.dropped.items()},
+        }
 
     @classmethod
     def from_record(cls, record: Any) -> Partition:
         """The Partition that `record` described; one of DAMAGED for anything else."""
-        regions = tuple(Region.from_record({**region, "space": record["space"]})
-                        for region in record["regions"])
-        return cls(str(record["method"]), regions,
-                   tuple(np.array(views, int).reshape(-1) for views in record["views"]),
-                   {int(view): str(why) for view, why in record["dropped"].items()})
+        regions = tuple(Region.from_record({**region, "space": record["space"]}) for region in record["regions"])
+        return cls(
+            str(record["method"]),
+            regions,
+            tuple(np.array(views, int).reshape(-1) for views in record["views"]),
+            {int(view): str(why) for view, why in record["dropped"].items()},
+        )

@@ -41,8 +41,7 @@ def seen_pixels(scene: Scene, region: Region, views: Sequence[View]) -> int:
     return int(pixels @ (inside / np.maximum(all_, 1)))
 
 
-def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View]
-                 ) -> dict[str, Window]:
+def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View]) -> dict[str, Window]:
     """The window of each view that shows what `region` reaches; they have few different sizes.
 
     Outside its window a photo shows frozen gaussians only, so the block does not read that part.
@@ -54,9 +53,9 @@ def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequ
     gaussians, scene : the coarse model, in the local frame of the whole scene.
     region, views : the block's cell and margin, and its views, of full size.
     """
-    positions = gaussians.positions[::max(1, gaussians.count // MOST_COMPARED)].astype(np.float64)
+    positions = gaussians.positions[:: max(1, gaussians.count // MOST_COMPARED)].astype(np.float64)
     positions = positions[region.reaches(world_of(scene, positions))]
-    positions = positions[::max(1, -(-len(positions) // MOST_BOUNDED))]
+    positions = positions[:: max(1, -(-len(positions) // MOST_BOUNDED))]
     windows, near = dict[str, Window](), scene.near_plane
     for view in views:
         size = np.array([view.camera.width, view.camera.height])
@@ -72,30 +71,30 @@ def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequ
     return of_few_sizes(windows, views)
 
 
-def _shown_pixels(view: View, positions: NDArray[np.floating], near: float
-                 ) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
+def _shown_pixels(
+    view: View, positions: NDArray[np.floating], near: float
+) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
     """The pixels [M, 2] of the positions [N, 3] that a view shows, and which these are, [N]."""
     pixels, depths = view.camera.project(positions)
     shown = (depths > near) & view.camera.contains(pixels)
     return pixels[shown], shown
 
 
-def of_few_sizes(windows: dict[str, Window], views: Sequence[View], most: int = MOST_SIZES
-                 ) -> dict[str, Window]:
+def of_few_sizes(windows: dict[str, Window], views: Sequence[View], most: int = MOST_SIZES) -> dict[str, Window]:
     """Enlarge windows until they and the whole photos have at most `most` different sizes.
 
     As long as there are more, those two sizes become one that adds the fewest pixels (Ward 1963,
     with pixels in place of squared distances). Sizes in photos of different sizes are not joined.
     `views` : of full size; those without a window are read whole."""
     photos = np.array([(view.camera.width, view.camera.height) for view in views]).reshape(-1, 2)
-    boxes = np.array([windows.get(view.name, (0, 0, view.camera.width, view.camera.height))
-                      for view in views]).reshape(-1, 4)
+    boxes = np.array([windows.get(view.name, (0, 0, view.camera.width, view.camera.height)) for view in views]).reshape(
+        -1, 4
+    )
     low, high = boxes[:, :2], boxes[:, 2:]
     step = ALIGNMENT * max(1, photos.max(initial=0) // (MOST_STEPS * ALIGNMENT))
     sizes = np.minimum(-((low - high) // step) * step, photos)
     while True:
-        kinds, kind, count = np.unique(np.hstack([photos, sizes]), axis=0, return_inverse=True,
-                                       return_counts=True)
+        kinds, kind, count = np.unique(np.hstack([photos, sizes]), axis=0, return_inverse=True, return_counts=True)
         kind = kind.ravel()  # numpy 2.0 returns a column
         photo, size = kinds[:, :2], kinds[:, 2:]
         joined = np.maximum(size[:, None], size)
@@ -108,13 +107,16 @@ def of_few_sizes(windows: dict[str, Window], views: Sequence[View], most: int = 
         sizes[np.isin(kind, (one, other))] = joined[one, other]
     start = (low + high - sizes) // (2 * ALIGNMENT) * ALIGNMENT  # around the middle
     start = np.clip(start, np.maximum(high - sizes, 0), np.minimum(low, photos - sizes))
-    return {view.name: (*first.tolist(), *(first + size).tolist())
-            for view, first, size, photo in zip(views, start, sizes, photos)
-            if view.name in windows and (size < photo).any()}
+    return {
+        view.name: (*first.tolist(), *(first + size).tolist())
+        for view, first, size, photo in zip(views, start, sizes, photos)
+        if view.name in windows and (size < photo).any()
+    }
 
 
-def owned_shares(owner: NDArray[np.integer], positions: NDArray[np.floating], views: Sequence[View],
-                 near: float, blocks: int) -> NDArray[np.float64]:
+def owned_shares(
+    owner: NDArray[np.integer], positions: NDArray[np.floating], views: Sequence[View], near: float, blocks: int
+) -> NDArray[np.float64]:
     """[V, B]: the share of the gaussians shown by each view, of full size, that each block owns.
 
     `owner` : int[N], the block of each gaussian, or -1; `positions` : [N, 3], in the views' frame.

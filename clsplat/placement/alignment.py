@@ -74,8 +74,14 @@ class Alignment:
     size: float
 
 
-def aligned(places: ArrayLike, positions: ArrayLike, vertical: Vertical, *,
-            std: ArrayLike | None = None, is_control: bool = False) -> Alignment | None:
+def aligned(
+    places: ArrayLike,
+    positions: ArrayLike,
+    vertical: Vertical,
+    *,
+    std: ArrayLike | None = None,
+    is_control: bool = False,
+) -> Alignment | None:
     """Align places in a reconstruction with their measured positions.
 
     Parameters
@@ -93,42 +99,50 @@ def aligned(places: ArrayLike, positions: ArrayLike, vertical: Vertical, *,
     at one place, or contradict each other. A result that stands is preferred to one that does not,
     even if it fits worse.
     """
-    places, positions = (np.asarray(values, np.float64).reshape(-1, 3)
-                         for values in (places, positions))
-    known: NDArray[np.bool_] = np.all(
-        np.isfinite(np.column_stack([positions[:, :2], places])), axis=1)
+    places, positions = (np.asarray(values, np.float64).reshape(-1, 3) for values in (places, positions))
+    known: NDArray[np.bool_] = np.all(np.isfinite(np.column_stack([positions[:, :2], places])), axis=1)
     if known.sum() < LEAST_POSITIONS:
         return None
     deviations = np.ones(positions.shape) if std is None else np.asarray(std, np.float64)
     problem = _Problem(places, positions, known, vertical, deviations, is_control)
     rng = np.random.default_rng(0)
-    found = [problem.judged(end) for start in (problem.level_start(rng), problem.free_start(rng))
-             if start is not None and (end := problem.refined(start)) is not None]
-    consistent = [each for each in found if each.used.sum() >= LEAST_POSITIONS
-                  and each.horizontal < LARGEST_SHARE * each.size]
+    found = [
+        problem.judged(end)
+        for start in (problem.level_start(rng), problem.free_start(rng))
+        if start is not None and (end := problem.refined(start)) is not None
+    ]
+    consistent = [
+        each for each in found if each.used.sum() >= LEAST_POSITIONS and each.horizontal < LARGEST_SHARE * each.size
+    ]
     return min(consistent, key=lambda each: (not each.stands, each.horizontal), default=None)
 
 
 class _Problem:
     """The measurements of an alignment, those that are known; its parameters are a Similarity."""
 
-    def __init__(self, places: NDArray[np.float64], positions: NDArray[np.float64],
-                 known: NDArray[np.bool_], vertical: Vertical, std: NDArray[np.float64],
-                 is_control: bool) -> None:
+    def __init__(
+        self,
+        places: NDArray[np.float64],
+        positions: NDArray[np.float64],
+        known: NDArray[np.bool_],
+        vertical: Vertical,
+        std: NDArray[np.float64],
+        is_control: bool,
+    ) -> None:
         self.known, self.places, self.vertical = known, places[known], vertical
         self.up, self.up_std = vertical.up, np.radians(vertical.degrees)
         deviations = np.maximum(std[known], LEAST_STD)
         # relative to the typical one, so that estimated standard deviations are in metres
-        self.horizontal_std = np.sqrt((deviations[:, :2]**2).mean(axis=1))
+        self.horizontal_std = np.sqrt((deviations[:, :2] ** 2).mean(axis=1))
         self.horizontal_std /= np.median(self.horizontal_std)
         self.vertical_std = deviations[:, 2] / np.median(deviations[:, 2])
         self.has_height = np.isfinite(positions[known, 2])
-        self.height_share = 1.0 if is_control else min(
-            1.0, INDEPENDENT_HEIGHTS / max(int(self.has_height.sum()), 1))
+        self.height_share = 1.0 if is_control else min(1.0, INDEPENDENT_HEIGHTS / max(int(self.has_height.sum()), 1))
         self.positions = np.where(np.isfinite(positions[known]), positions[known], 0.0)
         flat = self.positions[:, :2]
-        self.least_std = max(LEAST_STD, BENDING * float(np.median(np.linalg.norm(
-            flat - np.median(flat, axis=0), axis=1))))
+        self.least_std = max(
+            LEAST_STD, BENDING * float(np.median(np.linalg.norm(flat - np.median(flat, axis=0), axis=1)))
+        )
 
     def residuals(self, similarity: Similarity) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Vectors [N, 2] along the ground and numbers [N] upwards, metres; 0 without a height."""
@@ -136,8 +150,7 @@ class _Problem:
         return away[:, :2], np.where(self.has_height, away[:, 2], 0.0)
 
     def level_start(self, rng: np.random.Generator) -> Similarity | None:
-        """One that fits most of the positions along the ground, with the given direction upwards.
-        """
+        """One that fits most of the positions along the ground, with the given direction upwards."""
         rotation = scipy.spatial.transform.Rotation.align_vectors(UP, self.up)[0].as_matrix()
         turned = self.places @ rotation.T
         place, position = (values[:, 0] + 1j * values[:, 1] for values in (turned, self.positions))
@@ -154,19 +167,20 @@ class _Problem:
         turn = scipy.spatial.transform.Rotation.from_euler("z", np.angle(factor)).as_matrix()
         scale = abs(factor)
         heights = (self.positions[:, 2] - scale * turned[:, 2])[self.has_height]
-        return Similarity(scale, turn @ rotation, np.array(
-            [shift.real, shift.imag, np.median(heights) if len(heights) else 0.0]))
+        return Similarity(
+            scale, turn @ rotation, np.array([shift.real, shift.imag, np.median(heights) if len(heights) else 0.0])
+        )
 
     def free_start(self, rng: np.random.Generator) -> Similarity | None:
         """One that fits most of the positions that have heights."""
-        places, positions, std = (values[self.has_height] for values in (
-            self.places, self.positions, self.horizontal_std))
+        places, positions, std = (
+            values[self.has_height] for values in (self.places, self.positions, self.horizontal_std)
+        )
         rows = _samples(rng, len(places), 3)
         scales, rotations, shifts = _fits(places[rows], positions[rows])
         if not len(scales):
             return None
-        away = (scales[:, None, None] * (places @ rotations.swapaxes(1, 2)) + shifts[:, None]
-                - positions)
+        away = scales[:, None, None] * (places @ rotations.swapaxes(1, 2)) + shifts[:, None] - positions
         best = np.quantile(np.linalg.norm(away, axis=2) / std, MOST_RIGHT, axis=1).argmin()
         return Similarity(float(scales[best]), rotations[best], shifts[best])
 
@@ -179,7 +193,8 @@ class _Problem:
         # (Rayleigh distribution) and 1.036 in height (half-normal)
         ground_std, height_std = (
             _rms(values[values <= OUTLIER * _typical(values) / quantile]) if len(values) else np.inf
-            for values, quantile in ((ground, 1.552), (height, 1.036)))
+            for values, quantile in ((ground, 1.552), (height, 1.036))
+        )
         return max(ground_std / np.sqrt(2), self.least_std), max(height_std, self.least_std)
 
     def refined(self, start: Similarity) -> Similarity | None:
@@ -194,8 +209,10 @@ class _Problem:
             middle = similarity(self.places).mean(axis=0)
             rotation = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
             similarity = Similarity(
-                similarity.scale * scale, rotation @ similarity.rotation,
-                scale * rotation @ (similarity.translation - middle) + middle + shift)
+                similarity.scale * scale,
+                rotation @ similarity.rotation,
+                scale * rotation @ (similarity.translation - middle) + middle + shift,
+            )
             if np.abs(step[:4]).max() < 1e-8:
                 break
         return similarity
@@ -229,13 +246,13 @@ class _Problem:
         step: NDArray[np.float64] = -np.linalg.lstsq(matrix, vector, rcond=1e-12)[0]
         return step
 
-    def _weights(self, similarity: Similarity, horizontal: NDArray[np.float64],
-                 vertical: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _weights(
+        self, similarity: Similarity, horizontal: NDArray[np.float64], vertical: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         """Weights [N, 3] of squared residuals, 1 / metres^2."""
         ground_std, height_std = self._deviations(similarity)
-        ground = 1 / ((ground_std * self.horizontal_std)**2 + (horizontal**2).sum(axis=1) / CAUCHY)
-        height = self.has_height * self.height_share / (
-            (height_std * self.vertical_std)**2 + vertical**2 / CAUCHY)
+        ground = 1 / ((ground_std * self.horizontal_std) ** 2 + (horizontal**2).sum(axis=1) / CAUCHY)
+        height = self.has_height * self.height_share / ((height_std * self.vertical_std) ** 2 + vertical**2 / CAUCHY)
         return np.column_stack([ground, ground, height])
 
     def judged(self, similarity: Similarity) -> Alignment:
@@ -249,9 +266,14 @@ class _Problem:
         used[self.known], used_heights[self.known] = right, level
         flat = self.positions[right, :2]
         return Alignment(
-            similarity, used, used_heights, _rms(ground[right]), _rms(vertical[right & level]),
+            similarity,
+            used,
+            used_heights,
+            _rms(ground[right]),
+            _rms(vertical[right & level]),
             self.vertical.stands(similarity.rotation),
-            float(np.linalg.norm(np.ptp(flat, axis=0))) if len(flat) else 0.0)
+            float(np.linalg.norm(np.ptp(flat, axis=0))) if len(flat) else 0.0,
+        )
 
 
 def fitted(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similarity | None:
@@ -269,8 +291,9 @@ def fitted(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similari
     return Similarity(float(scales[0]), rotations[0], shifts[0]) if len(scales) else None
 
 
-def _fits(source: NDArray[np.float64], target: NDArray[np.float64]
-          ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _fits(
+    source: NDArray[np.float64], target: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Scales [F], rotations [F, 3, 3] and translations [F, 3] of those of the similarities between
     sets of points [S, N, 3] that these determine."""
     places, positions = (points - points.mean(axis=1, keepdims=True) for points in (source, target))
@@ -280,10 +303,10 @@ def _fits(source: NDArray[np.float64], target: NDArray[np.float64]
     usable &= values[:, 1] > 1e-9 * np.linalg.norm(product, axis=(1, 2))
     left[:, :, 2] *= np.linalg.det(left @ right)[:, None]  # no mirror
     rotations = left @ right
-    scales = ((positions * (places @ rotations.swapaxes(1, 2))).sum(axis=(1, 2))
-              / np.maximum((places**2).sum(axis=(1, 2)), np.finfo(np.float64).tiny))
-    shifts = target.mean(axis=1) - scales[:, None] * np.einsum(
-        "sij,sj->si", rotations, source.mean(axis=1))
+    scales = (positions * (places @ rotations.swapaxes(1, 2))).sum(axis=(1, 2)) / np.maximum(
+        (places**2).sum(axis=(1, 2)), np.finfo(np.float64).tiny
+    )
+    shifts = target.mean(axis=1) - scales[:, None] * np.einsum("sij,sj->si", rotations, source.mean(axis=1))
     return scales[usable], rotations[usable], shifts[usable]
 
 

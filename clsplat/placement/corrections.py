@@ -37,21 +37,18 @@ class Correction:
 
 def correction_between(given: Camera, wanted: Camera) -> Correction:
     """The correction that makes the pose of one camera that of another, in the same world."""
-    turn = scipy.spatial.transform.Rotation.from_matrix(
-        wanted.rotation @ given.rotation.T).as_rotvec()
+    turn = scipy.spatial.transform.Rotation.from_matrix(wanted.rotation @ given.rotation.T).as_rotvec()
     return Correction(turn, given.rotation @ (wanted.position - given.position))
 
 
 def typical_depth(cameras: Sequence[Camera], points: ArrayLike) -> float:
     """World units: the median over cameras of the median depth of the points float[N, 3] that they
     see; 1 if they see none."""
-    medians = [np.median(camera.project(points)[1][seen]) for camera in cameras
-               if (seen := camera.shows(points)).any()]
+    medians = [np.median(camera.project(points)[1][seen]) for camera in cameras if (seen := camera.shows(points)).any()]
     return float(np.median(medians)) if medians else 1.0
 
 
-def without_common_motion(given: Sequence[Camera], corrections: Sequence[Correction], depth: float
-                          ) -> list[Correction]:
+def without_common_motion(given: Sequence[Camera], corrections: Sequence[Correction], depth: float) -> list[Correction]:
     """Corrections after the mean rigid motion of all cameras is taken out of them.
 
     A world in which the gaussians and all cameras have moved alike gives the same photos. So no
@@ -71,8 +68,7 @@ def without_common_motion(given: Sequence[Camera], corrections: Sequence[Correct
         back = camera.rotation.T
         # all that turns by a small vector a about the middle, and shifts by b: the centres by
         # a x arm + b, and what a camera sees by -R a
-        rows += [np.hstack([-np.eye(3) * depth, np.zeros((3, 3))]),
-                 np.hstack([np.cross(arm, np.eye(3)), np.eye(3)])]
+        rows += [np.hstack([-np.eye(3) * depth, np.zeros((3, 3))]), np.hstack([np.cross(arm, np.eye(3)), np.eye(3)])]
         values += [back @ correction.turn * depth, back @ correction.shift]
     a, b = np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0].reshape(2, 3)
     turned = scipy.spatial.transform.Rotation.from_rotvec(a).as_matrix()
@@ -81,6 +77,5 @@ def without_common_motion(given: Sequence[Camera], corrections: Sequence[Correct
         moved = correction.applied(camera)
         rotation = moved.rotation @ turned
         position = middle + turned.T @ (moved.position - middle - b)
-        result.append(correction_between(camera, replace(
-            moved, rotation=rotation, translation=-rotation @ position)))
+        result.append(correction_between(camera, replace(moved, rotation=rotation, translation=-rotation @ position)))
     return result

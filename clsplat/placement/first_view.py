@@ -15,8 +15,12 @@ LEAST_EXTENT = 1e-6  # of the distance from the origin; points that are closer t
 ELEVATIONS = (35.0, 60.0)
 
 
-def first_view(cameras: Sequence[Camera], points: NDArray[np.float64], up: NDArray[np.float64],
-               north: NDArray[np.float64] | None = None) -> Camera:
+def first_view(
+    cameras: Sequence[Camera],
+    points: NDArray[np.float64],
+    up: NDArray[np.float64],
+    north: NDArray[np.float64] | None = None,
+) -> Camera:
     """The camera from which a viewer should first look.
 
     If the cameras stand above the scene and look down, it is a view of the whole from obliquely
@@ -32,15 +36,14 @@ def first_view(cameras: Sequence[Camera], points: NDArray[np.float64], up: NDArr
     """
     steepness = float(np.median([camera.rotation[2] @ up for camera in cameras]))
     positions = np.array([camera.position for camera in cameras])
-    if steepness < STEEP and len(points) and (
-            np.median(positions @ up) > np.quantile(points @ up, 0.8)):
+    if steepness < STEEP and len(points) and (np.median(positions @ up) > np.quantile(points @ up, 0.8)):
         if north is None:
             north = _towards(cameras, _near(points), up)
         distances = np.linalg.norm(positions - np.median(points, axis=0), axis=1)
         return view_from_above(points, up, north, steepness, float(np.median(distances)))
     # the camera that shows most points, among the half nearest to the middle of all
     away = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
-    near = np.argsort(away, kind="stable")[:(len(cameras) + 1) // 2]
+    near = np.argsort(away, kind="stable")[: (len(cameras) + 1) // 2]
     return cameras[max(near.tolist(), key=lambda index: int(cameras[index].shows(points).sum()))]
 
 
@@ -51,8 +54,13 @@ def _near(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return near
 
 
-def view_from_above(points: NDArray[np.float64], up: NDArray[np.float64],
-                    north: NDArray[np.float64], steepness: float, if_one: float = 1.0) -> Camera:
+def view_from_above(
+    points: NDArray[np.float64],
+    up: NDArray[np.float64],
+    north: NDArray[np.float64],
+    steepness: float,
+    if_one: float = 1.0,
+) -> Camera:
     """A camera obliquely above that shows the core of the points.
 
     Parameters
@@ -67,8 +75,10 @@ def view_from_above(points: NDArray[np.float64], up: NDArray[np.float64],
     forward = np.cos(elevation) * north - np.sin(elevation) * up
 
     def at(distance: float) -> Camera:
-        return Camera.looking_at(middle, middle - distance * forward, up=up, width=WIDTH,
-                                 height=HEIGHT, degrees=DEGREES)
+        return Camera.looking_at(
+            middle, middle - distance * forward, up=up, width=WIDTH, height=HEIGHT, degrees=DEGREES
+        )
+
     # the distance at which the core fits: a point at (x, y, z) of the camera's axes is within the
     # image if |x| <= tan (z + distance), and so for y
     view = at(1.0)
@@ -79,8 +89,7 @@ def view_from_above(points: NDArray[np.float64], up: NDArray[np.float64],
     return at(distance if distance > LEAST_EXTENT * float(np.linalg.norm(middle)) else if_one)
 
 
-def _towards(cameras: Sequence[Camera], points: NDArray[np.float64], up: NDArray[np.float64]
-             ) -> NDArray[np.float64]:
+def _towards(cameras: Sequence[Camera], points: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
     """The horizontal direction, across the longer side of the points, in which most photos look, or
     else which is upwards in most of them."""
     first = np.cross(up, np.eye(3)[np.abs(up).argmin()])

@@ -41,9 +41,15 @@ class TooFewPositions(NotGeoreferenced):
     """Nothing is wrong: the photos simply have no GPS, or hardly any."""
 
 
-def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,
-             guesses: Sequence[Guess] = (), *, std: ArrayLike | None = None,
-             is_control: bool = False) -> Alignment:
+def believed(
+    places: ArrayLike,
+    positions: ArrayLike,
+    vertical: Vertical,
+    guesses: Sequence[Guess] = (),
+    *,
+    std: ArrayLike | None = None,
+    is_control: bool = False,
+) -> Alignment:
     """The alignment of places with positions, as `aligned` finds it.
 
     Parameters
@@ -56,6 +62,7 @@ def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,
     ------
     NotGeoreferenced : there is none, it is upside down or tilted, or a guess fits far better.
     """
+
     def attempt(measured: ArrayLike) -> Alignment | None:
         return aligned(places, measured, vertical, std=std, is_control=is_control)
 
@@ -70,36 +77,46 @@ def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,
         least = miss(result) / result.size / TIMES_BETTER
     for guess in guesses:
         other = attempt(guess.positions)
-        if other is None or not other.stands or (
-                result is not None and other.used.sum() < result.used.sum()):
+        if other is None or not other.stands or (result is not None and other.used.sum() < result.used.sum()):
             continue
         share = miss(other) / other.size
         if share <= MOST_RESIDUAL and share < least:
             least, question = share, guess.question
     if result is None:
-        reason = ("and the reconstruction contradict each other, or the places are too close "
-                  "together")
+        reason = "and the reconstruction contradict each other, or the places are too close together"
     elif not result.stands:
-        reason = ("fit only if the scene is turned upside down or tilted by "
-                  f"{vertical.tilt(result.similarity.rotation):.0f} degrees")
+        reason = (
+            "fit only if the scene is turned upside down or tilted by "
+            f"{vertical.tilt(result.similarity.rotation):.0f} degrees"
+        )
     elif question:
         reason = f"miss the reconstruction by {miss(result):.3g} m"
     else:
         return result
     subject, cure = (
         ("--gcp: the ground control points", "check the coordinates, the CRS and the marks")
-        if is_control else ("the photos' GPS positions", "check the coordinates"))
+        if is_control
+        else ("the photos' GPS positions", "check the coordinates")
+    )
     raise NotGeoreferenced(f"{subject} {reason}" + (f": {question}" if question else f"; {cure}"))
 
 
 def are_priors(result: Alignment) -> bool:
     """Whether the positions of an alignment are good enough, and enough of them, to adjust to."""
-    return bool(result.used.sum() > LEAST_POSITIONS and result.used.mean() >= 1 - MOST_LEFT_OUT
-                and result.horizontal <= MOST_RESIDUAL * result.size)
+    return bool(
+        result.used.sum() > LEAST_POSITIONS
+        and result.used.mean() >= 1 - MOST_LEFT_OUT
+        and result.horizontal <= MOST_RESIDUAL * result.size
+    )
 
 
-def doubts(result: Alignment, positions: ArrayLike, vertical: Vertical,
-           residuals: tuple[float, float], is_control: bool = False) -> list[str]:
+def doubts(
+    result: Alignment,
+    positions: ArrayLike,
+    vertical: Vertical,
+    residuals: tuple[float, float],
+    is_control: bool = False,
+) -> list[str]:
     """Sentences on what a user must not rely on in an alignment.
 
     Parameters
@@ -109,28 +126,33 @@ def doubts(result: Alignment, positions: ArrayLike, vertical: Vertical,
     is_control : as in `believed`.
     """
     size_of = "the surveyed area" if is_control else "the flight"
-    found = [f"the residual of {value:.2f} m {where} is {100 * value / max(result.size, 1e-9):.0f} "
-             f"% of the size of {size_of}, {result.size:.0f} m: {cure}"
-             for value, where, cure in zip(
-                 residuals,
-                 ("along the ground", "in height"),
-                 ("place, scale and directions are uncertain", "do not rely on heights"))
-             if np.isfinite(value) and value > MOST_RESIDUAL * result.size]
+    found = [
+        f"the residual of {value:.2f} m {where} is {100 * value / max(result.size, 1e-9):.0f} "
+        f"% of the size of {size_of}, {result.size:.0f} m: {cure}"
+        for value, where, cure in zip(
+            residuals,
+            ("along the ground", "in height"),
+            ("place, scale and directions are uncertain", "do not rely on heights"),
+        )
+        if np.isfinite(value) and value > MOST_RESIDUAL * result.size
+    ]
     wrong = ~result.used | (~result.used_heights if is_control else False)
     if wrong.mean() > MOST_LEFT_OUT:
-        found.append(f"{wrong.sum()} of {len(wrong)} positions contradict the others, so the "
-                     "others may be the wrong ones: check them")
+        found.append(
+            f"{wrong.sum()} of {len(wrong)} positions contradict the others, so the "
+            "others may be the wrong ones: check them"
+        )
     tilt = vertical.tilt(result.similarity.rotation)
     if tilt > OF_UP * vertical.degrees:
-        found.append(f"the scene is tilted by {tilt:.0f} degrees from what its photos show as up: "
-                     "check the heights")
+        found.append(f"the scene is tilted by {tilt:.0f} degrees from what its photos show as up: check the heights")
     if result.used.sum() == LEAST_POSITIONS:
-        found.append(f"only {LEAST_POSITIONS} positions decide, so that an error of one of them "
-                     "would not be noticed")
+        found.append(f"only {LEAST_POSITIONS} positions decide, so that an error of one of them would not be noticed")
     flat = np.asarray(positions, np.float64)[result.used, :2]
     flat = flat - flat.mean(axis=0)
     across = flat @ np.linalg.svd(flat, full_matrices=False)[2][1]
     if np.ptp(across) <= max(LINE * result.size, LINE_MISSES * result.horizontal):
-        found.append("the positions lie on one line, so that the tilt across it is not measured, "
-                     "and exchanged or mirrored coordinates would not be noticed")
+        found.append(
+            "the positions lie on one line, so that the tilt across it is not measured, "
+            "and exchanged or mirrored coordinates would not be noticed"
+        )
     return found

@@ -57,8 +57,10 @@ class Vertical:
         found = [_least_spread(rotations[:, 0])]
         if len(points):
             found.append(_least_spread(_centred(points)))
-        found = sorted(((axis if _sense(looks, axis) >= 0 else -axis, ratio)
-                        for axis, ratio in found), key=lambda candidate: candidate[1])
+        found = sorted(
+            ((axis if _sense(looks, axis) >= 0 else -axis, ratio) for axis, ratio in found),
+            key=lambda candidate: candidate[1],
+        )
         known = [direction for direction, ratio in found if ratio < UNDETERMINED]
         return cls(found[0][0], CAMERA_DEGREES, np.array(known).reshape(-1, 3), looks)
 
@@ -82,8 +84,9 @@ def _sense(looks: NDArray[np.float64], axis: NDArray[np.float64]) -> float:
     return float(top if abs(top) > CLEAR else away)
 
 
-def gimbal_up(rotations: NDArray[np.float64], pitches: NDArray[np.float64],
-              rolls: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def gimbal_up(
+    rotations: NDArray[np.float64], pitches: NDArray[np.float64], rolls: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
     """The unit vector [3] that points up by the angles of gimbals, which measure gravity; None if
     they contradict each other.
 
@@ -94,8 +97,7 @@ def gimbal_up(rotations: NDArray[np.float64], pitches: NDArray[np.float64],
         clockwise.
     """
     pitch, roll = np.radians(pitches), np.radians(rolls)
-    in_camera = np.stack([-np.cos(pitch) * np.sin(roll), -np.cos(pitch) * np.cos(roll),
-                          np.sin(pitch)], axis=1)
+    in_camera = np.stack([-np.cos(pitch) * np.sin(roll), -np.cos(pitch) * np.cos(roll), np.sin(pitch)], axis=1)
     ups = np.einsum("vij,vi->vj", rotations, in_camera)
     up = np.median(ups, axis=0)
     length = float(np.linalg.norm(up))
@@ -112,14 +114,14 @@ def _least_spread(vectors: NDArray[np.float64]) -> tuple[NDArray[np.float64], fl
     noise = LEVEL_NOISE * float((vectors**2).sum(axis=1).mean())
     for _ in range(ITERATIONS):
         values, axes = np.linalg.eigh((vectors * weights[:, None]).T @ vectors / weights.sum())
-        weights = 1 / np.sqrt((vectors @ axes[:, 0])**2 + noise)
+        weights = 1 / np.sqrt((vectors @ axes[:, 0]) ** 2 + noise)
     least, next_larger, _ = values + LEVEL_NOISE * values.sum()
     return axes[:, 0], float(least / next_larger)
 
 
 def _centred(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Nine tenths of the points, those nearest to their median, from their mean."""
-    sampled = points[::-(-len(points) // MOST_SAMPLED)]
+    sampled = points[:: -(-len(points) // MOST_SAMPLED)]
     away = sampled - np.median(sampled, axis=0)
     distance = (away**2).sum(axis=1)
     near = away[distance <= np.quantile(distance, 0.9)]

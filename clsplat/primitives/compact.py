@@ -9,18 +9,29 @@ from clsplat.device.kernel import Argument
 SMALLEST_CHUNK = 4096  # rows, of the item form: a second thread costs more than it saves
 
 _CHUNKS = Forms(item=items("count/chunk"), group=groups("count/chunk", "SCAN_GROUP"))
-_ROWS: dict[str, Argument] = dict(count="uint", chunk="uint", flags=("uint", "N"),
-                                  totals=("uint", "T"))
+_ROWS: dict[str, Argument] = dict(count="uint", chunk="uint", flags=("uint", "N"), totals=("uint", "T"))
 COUNT_FLAGS = Kernel("compact.cl", "count_flags", _CHUNKS, **_ROWS)
-COMPACT = Kernel("compact.cl", "compact", _CHUNKS, count="uint", chunk="uint", room="uint",
-                 flags=("uint", "N"), totals=("uint", "T"), kept=("uint", "R"),
-                 counts=("uint", FRAME_COUNTS))
+COMPACT = Kernel(
+    "compact.cl",
+    "compact",
+    _CHUNKS,
+    count="uint",
+    chunk="uint",
+    room="uint",
+    flags=("uint", "N"),
+    totals=("uint", "T"),
+    kept=("uint", "R"),
+    counts=("uint", FRAME_COUNTS),
+)
 
 
 def chunk_size(device: Device, count: int) -> int:
     """Rows in a chunk: enough chunks for every core, or a fixed number for a group."""
-    return int(Forms(item=max(SMALLEST_CHUNK, -(-count // (2 * device.compute_units))),
-                     group=device.scan_group * PER_ITEM).of(device))
+    return int(
+        Forms(item=max(SMALLEST_CHUNK, -(-count // (2 * device.compute_units))), group=device.scan_group * PER_ITEM).of(
+            device
+        )
+    )
 
 
 def chunks_of(device: Device, count: int) -> int:
@@ -28,8 +39,7 @@ def chunks_of(device: Device, count: int) -> int:
     return -(-count // chunk_size(device, count))
 
 
-def compact(device: Device, flags: Array, counts: Array, room: int | None = None,
-            totals: Array | None = None) -> Array:
+def compact(device: Device, flags: Array, counts: Array, room: int | None = None, totals: Array | None = None) -> Array:
     """The numbers of the rows whose flag is 1, ascending.
 
     Parameters

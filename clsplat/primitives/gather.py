@@ -11,15 +11,27 @@ from clsplat.device.kernel import Defines
 
 CHUNK_ROWS = 1 << 18  # that are copied to the host together
 
-GATHER = Kernel("gather.cl", "gather", each("count width"), count="uint", width="uint",
-                indices=("uint", "N"),
-                rows=Either("BYTES", ("uchar", "M", "W"), ("real", "M", "W")),
-                result=Either("BYTES", ("uchar", "N", "W"), ("real", "N", "W")))
+GATHER = Kernel(
+    "gather.cl",
+    "gather",
+    each("count width"),
+    count="uint",
+    width="uint",
+    indices=("uint", "N"),
+    rows=Either("BYTES", ("uchar", "M", "W"), ("real", "M", "W")),
+    result=Either("BYTES", ("uchar", "N", "W"), ("real", "N", "W")),
+)
 
-SCATTER = Kernel("gather.cl", "scatter", each("count width"), count="uint", width="uint",
-                 indices=("uint", "N"),
-                 rows=Either("BYTES", ("uchar", "N", "W"), ("real", "N", "W")),
-                 result=Either("BYTES", ("uchar", "M", "W"), ("real", "M", "W")))
+SCATTER = Kernel(
+    "gather.cl",
+    "scatter",
+    each("count width"),
+    count="uint",
+    width="uint",
+    indices=("uint", "N"),
+    rows=Either("BYTES", ("uchar", "N", "W"), ("real", "N", "W")),
+    result=Either("BYTES", ("uchar", "M", "W"), ("real", "M", "W")),
+)
 
 
 def scatter(device: Device, rows: Array, indices: Array, result: Array) -> None:
@@ -33,9 +45,14 @@ def scatter(device: Device, rows: Array, indices: Array, result: Array) -> None:
     """
     count, width = len(indices), math.prod(rows.shape[1:])
     if width:
-        device.launch(SCATTER, count=count, width=width, indices=indices,
-                      rows=rows.reshaped(count, width),
-                      result=result.reshaped(len(result), width))
+        device.launch(
+            SCATTER,
+            count=count,
+            width=width,
+            indices=indices,
+            rows=rows.reshaped(count, width),
+            result=result.reshaped(len(result), width),
+        )
 
 
 def gather(device: Device, rows: Array, indices: Array, result: Array | None = None) -> Array:
@@ -57,8 +74,7 @@ def gather(device: Device, rows: Array, indices: Array, result: Array | None = N
         if rows.dtype != device.real:
             source, target = source.viewed(np.uint8), target.viewed(np.uint8)
             defines = (("BYTES", 1),)
-        device.launch(GATHER, defines, count=count, width=source.shape[1], indices=indices,
-                      rows=source, result=target)
+        device.launch(GATHER, defines, count=count, width=source.shape[1], indices=indices, rows=source, result=target)
     return result
 
 
@@ -69,6 +85,6 @@ def download_rows(device: Device, array: Array, rows: NDArray[np.integer] | None
         return array.download()
     host = np.empty((len(rows), *array.shape[1:]), array.dtype)
     for first in range(0, len(rows), CHUNK_ROWS):
-        chosen = device.upload(rows[first:first + CHUNK_ROWS].astype(np.uint32))
-        host[first:first + CHUNK_ROWS] = gather(device, array, chosen).download()
+        chosen = device.upload(rows[first : first + CHUNK_ROWS].astype(np.uint32))
+        host[first : first + CHUNK_ROWS] = gather(device, array, chosen).download()
     return host

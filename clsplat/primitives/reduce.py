@@ -4,10 +4,16 @@ import math
 
 from clsplat.device import Array, Device, Kernel, each, groups
 
-SUM_COLUMNS = Kernel("reduce.cl", "sum_columns", groups("width", "SCAN_GROUP"), count="uint",
-                     width="uint", rows=("real", "N", "W"), totals=("real", "W"))
-ADD = Kernel("reduce.cl", "add_to", each("count"), count="uint", values=("real", "N"),
-             totals=("real", "N"))
+SUM_COLUMNS = Kernel(
+    "reduce.cl",
+    "sum_columns",
+    groups("width", "SCAN_GROUP"),
+    count="uint",
+    width="uint",
+    rows=("real", "N", "W"),
+    totals=("real", "W"),
+)
+ADD = Kernel("reduce.cl", "add_to", each("count"), count="uint", values=("real", "N"), totals=("real", "N"))
 
 
 def sum_columns(device: Device, rows: Array) -> Array:

@@ -5,11 +5,30 @@ import numpy as np
 from clsplat.constants import FRAME_COUNTS
 from clsplat.device import Array, Device, Kernel, each
 
-COUNT = Kernel("sort.cl", "sort_count", each("parts"), parts="uint", shift="uint",
-               counts=("uint", FRAME_COUNTS), keys=("uint", "R"), table=("uint", "C", "D"))
-SCATTER = Kernel("sort.cl", "sort_scatter", each("parts"), parts="uint", shift="uint", first="uint",
-                 counts=("uint", FRAME_COUNTS), keys=("uint", "R"), values=("uint", "R"),
-                 table=("uint", "C", "D"), sorted_keys=("uint", "R"), sorted_values=("uint", "R"))
+COUNT = Kernel(
+    "sort.cl",
+    "sort_count",
+    each("parts"),
+    parts="uint",
+    shift="uint",
+    counts=("uint", FRAME_COUNTS),
+    keys=("uint", "R"),
+    table=("uint", "C", "D"),
+)
+SCATTER = Kernel(
+    "sort.cl",
+    "sort_scatter",
+    each("parts"),
+    parts="uint",
+    shift="uint",
+    first="uint",
+    counts=("uint", FRAME_COUNTS),
+    keys=("uint", "R"),
+    values=("uint", "R"),
+    table=("uint", "C", "D"),
+    sorted_keys=("uint", "R"),
+    sorted_values=("uint", "R"),
+)
 
 DIGIT_BITS = 11  # of a pass: its counters fit a CPU's cache
 SORT_DEFINES = (("DIGIT_BITS", DIGIT_BITS),)
@@ -42,8 +61,16 @@ def stable_sort(device: Device, keys: Array, counts: Array) -> tuple[Array, Arra
     for shift in range(0, KEY_BITS, DIGIT_BITS):
         sorted_keys, sorted_values = (device.empty(room, np.uint32) for _ in range(2))
         device.launch(COUNT, SORT_DEFINES, **sizes, shift=shift, keys=keys)
-        device.launch(SCATTER, SORT_DEFINES, **sizes, shift=shift, first=int(shift == 0),
-                      keys=keys, values=values, sorted_keys=sorted_keys,
-                      sorted_values=sorted_values)
+        device.launch(
+            SCATTER,
+            SORT_DEFINES,
+            **sizes,
+            shift=shift,
+            first=int(shift == 0),
+            keys=keys,
+            values=values,
+            sorted_keys=sorted_keys,
+            sorted_values=sorted_values,
+        )
         keys, values = sorted_keys, sorted_values
     return keys, values

@@ -21,8 +21,10 @@ Defines = tuple[tuple[str, int], ...]  # names and values of the build-time choi
 _SIZE: dict[str, Any] = dict(width="int", height="int", first_tile="int")
 _LISTS: dict[str, Any] = dict(ranges=("uint", "T", 2), sorted_splats=("uint", "P"))
 _SPLATS: dict[str, Any] = dict(
-    splats=("real", "V", constants.SPLAT_REALS), visible=Only("WITH_FEATURES", ("uint", "V")),
-    features=Only("WITH_FEATURES", ("real", "N", "C")))
+    splats=("real", "V", constants.SPLAT_REALS),
+    visible=Only("WITH_FEATURES", ("uint", "V")),
+    features=Only("WITH_FEATURES", ("real", "N", "C")),
+)
 _ENDS: dict[str, Any] = dict(transmittance=("real", "H", "W"), last_contributor=("int", "H", "W"))
 _IMAGE: dict[str, Any] = dict(image=("real", "C", "H", "W"))
 _BACKGROUND: dict[str, Any] = dict(background=("real", "C"))
@@ -33,25 +35,59 @@ RESPONSE: dict[str, Any] = dict(
     transforms=Only("WITH_RESPONSE", ("real", "U", constants.TRANSFORM_REALS)),
     camera=Only("WITH_VIGNETTING", ("real", constants.CAMERA_REALS)),
     lens_of=Only("WITH_VIGNETTING", ("uint", "U")),
-    lenses=Only("WITH_VIGNETTING", ("real", "L", constants.VIGNETTING_REALS)))
+    lenses=Only("WITH_VIGNETTING", ("real", "L", constants.VIGNETTING_REALS)),
+)
 
 BLEND = Kernel(
-    "blend.cl", "blend",
-    Forms(item=items("T"),
-          group=groups("T", "TILE TILE", bucket_offsets=("uint", "T"),
-                       checkpoints=("real", "B", "X", "K"), depth_checkpoints=_DEPTHS)),
-    **_SIZE, **_BACKGROUND, **_LISTS, **_SPLATS, **_IMAGE, **_ENDS, depth=_DEPTH, **RESPONSE,
-    exposed=Only("WITH_RESPONSE", ("real", 3, "H", "W")))
+    "blend.cl",
+    "blend",
+    Forms(
+        item=items("T"),
+        group=groups(
+            "T",
+            "TILE TILE",
+            bucket_offsets=("uint", "T"),
+            checkpoints=("real", "B", "X", "K"),
+            depth_checkpoints=_DEPTHS,
+        ),
+    ),
+    **_SIZE,
+    **_BACKGROUND,
+    **_LISTS,
+    **_SPLATS,
+    **_IMAGE,
+    **_ENDS,
+    depth=_DEPTH,
+    **RESPONSE,
+    exposed=Only("WITH_RESPONSE", ("real", 3, "H", "W")),
+)
 ADJOINT = Kernel(
-    "blend.cl", "blend_adjoint",
-    Forms(item=items("T", **_BACKGROUND),
-          group=groups("B", "ADJOINT_GROUP", counts=("uint", constants.FRAME_COUNTS),
-                       bucket_offsets=("uint", "T"), bucket_tiles=("uint", "B"), **_IMAGE,
-                       checkpoints=("real", "B", "X", "K"), depth=_DEPTH,
-                       depth_checkpoints=_DEPTHS)),
-    **_SIZE, **_LISTS, emission_indices=("uint", "P"), **_SPLATS, **_ENDS,
-    grad_image=("real", "C", "H", "W"), grad_depth=_DEPTH, grad_transmittance=_DEPTH,
-    pair_grads=("real", "P", "S"))
+    "blend.cl",
+    "blend_adjoint",
+    Forms(
+        item=items("T", **_BACKGROUND),
+        group=groups(
+            "B",
+            "ADJOINT_GROUP",
+            counts=("uint", constants.FRAME_COUNTS),
+            bucket_offsets=("uint", "T"),
+            bucket_tiles=("uint", "B"),
+            **_IMAGE,
+            checkpoints=("real", "B", "X", "K"),
+            depth=_DEPTH,
+            depth_checkpoints=_DEPTHS,
+        ),
+    ),
+    **_SIZE,
+    **_LISTS,
+    emission_indices=("uint", "P"),
+    **_SPLATS,
+    **_ENDS,
+    grad_image=("real", "C", "H", "W"),
+    grad_depth=_DEPTH,
+    grad_transmittance=_DEPTH,
+    pair_grads=("real", "P", "S"),
+)
 
 
 class Exposure(NamedTuple):
@@ -114,16 +150,21 @@ def pair_columns(channels: int, with_depth: bool) -> int:
 
 def blend_defines(with_depth: bool, smooth_cutoff: bool = False, depth_percent: int = 0) -> Defines:
     """The build-time choices of both kernels; a depth at a share of the light has no adjoint."""
-    return (("WITH_DEPTH", int(with_depth)), ("SMOOTH_CUTOFF", int(smooth_cutoff)),
-            ("DEPTH_PERCENT", depth_percent if with_depth else 0))
+    return (
+        ("WITH_DEPTH", int(with_depth)),
+        ("SMOOTH_CUTOFF", int(smooth_cutoff)),
+        ("DEPTH_PERCENT", depth_percent if with_depth else 0),
+    )
 
 
 def _of_features(features: Features | None) -> tuple[Defines, dict[str, Array | None]]:
     """The build-time choices and the arguments that follow from features."""
     if features is None:
         return (), {"visible": None, "features": None}
-    return ((("WITH_FEATURES", 1), ("CHANNELS", features.rows.shape[1])),
-            {"visible": features.visible, "features": features.rows})
+    return (
+        (("WITH_FEATURES", 1), ("CHANNELS", features.rows.shape[1])),
+        {"visible": features.visible, "features": features.rows},
+    )
 
 
 def response_defines(with_vignetting: bool) -> Defines:
@@ -132,9 +173,18 @@ def response_defines(with_vignetting: bool) -> Defines:
     return ("WITH_RESPONSE", 1), ("WITH_VIGNETTING", int(with_vignetting))
 
 
-def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, background: Array,
-          defines: Defines, result: Blended | None = None, exposure: Exposure | None = None,
-          features: Features | None = None) -> Blended:
+def blend(
+    device: Device,
+    splats: Array,
+    pairs: Pairs,
+    width: int,
+    height: int,
+    background: Array,
+    defines: Defines,
+    result: Blended | None = None,
+    exposure: Exposure | None = None,
+    features: Features | None = None,
+) -> Blended:
     """Blend splats over a background.
 
     Parameters
@@ -151,10 +201,13 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
     with_depth, channels = dict(defines)["WITH_DEPTH"], len(background)
     if result is None:
         image = channels, height, width
-        result = Blended(device.empty(image), device.empty((height, width)),
-                         device.empty((height, width), np.int32),
-                         device.empty((height, width)) if with_depth else None,
-                         device.empty(image) if exposure else None)
+        result = Blended(
+            device.empty(image),
+            device.empty((height, width)),
+            device.empty((height, width), np.int32),
+            device.empty((height, width)) if with_depth else None,
+            device.empty(image) if exposure else None,
+        )
     response = exposure._asdict() if exposure else dict.fromkeys(Exposure._fields)
     result.checkpoints = result.depth_checkpoints = None  # free those of the band before
     if pairs.bucket_tiles is not None:
@@ -163,21 +216,43 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
         result.depth_checkpoints = device.empty(states) if with_depth else None
     choices, arguments = _of_features(features)
     responding = response_defines(exposure.lenses is not None) if exposure else ()
-    device.launch(BLEND, (*defines, *choices, *responding), width=width, height=height,
-                  first_tile=pairs.tiles.start, background=background, ranges=pairs.ranges,
-                  sorted_splats=pairs.sorted_splats, splats=splats,
-                  **arguments, image=result.image,
-                  transmittance=result.transmittance, last_contributor=result.last_contributor,
-                  depth=result.depth_channel, **response, exposed=result.exposed,
-                  bucket_offsets=pairs.bucket_offsets, checkpoints=result.checkpoints,
-                  depth_checkpoints=result.depth_checkpoints)
+    device.launch(
+        BLEND,
+        (*defines, *choices, *responding),
+        width=width,
+        height=height,
+        first_tile=pairs.tiles.start,
+        background=background,
+        ranges=pairs.ranges,
+        sorted_splats=pairs.sorted_splats,
+        splats=splats,
+        **arguments,
+        image=result.image,
+        transmittance=result.transmittance,
+        last_contributor=result.last_contributor,
+        depth=result.depth_channel,
+        **response,
+        exposed=result.exposed,
+        bucket_offsets=pairs.bucket_offsets,
+        checkpoints=result.checkpoints,
+        depth_checkpoints=result.depth_checkpoints,
+    )
     return result
 
 
-def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended, background: Array,
-                  grad_image: Array, grad_depth: Array | None, grad_transmittance: Array | None,
-                  defines: Defines, earlier: Array | None = None,
-                  features: Features | None = None) -> SplatGrads:
+def blend_adjoint(
+    device: Device,
+    splats: Array,
+    pairs: Pairs,
+    blended: Blended,
+    background: Array,
+    grad_image: Array,
+    grad_depth: Array | None,
+    grad_transmittance: Array | None,
+    defines: Defines,
+    earlier: Array | None = None,
+    features: Features | None = None,
+) -> SplatGrads:
     """Gradients by splat from gradients by what `blend` made.
 
     Parameters
@@ -192,18 +267,33 @@ def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended,
     with_depth = dict(defines)["WITH_DEPTH"]
     pair_grads = device.empty((pairs.count, pair_columns(channels, bool(with_depth))))
     choices, arguments = _of_features(features)
-    device.launch(ADJOINT, (*defines, *choices), width=width, height=height,
-                  first_tile=pairs.tiles.start, background=background, ranges=pairs.ranges,
-                  sorted_splats=pairs.sorted_splats, emission_indices=pairs.emission_indices,
-                  splats=splats, **arguments, image=blended.image,
-                  transmittance=blended.transmittance, depth=blended.depth_channel,
-                  last_contributor=blended.last_contributor, grad_image=grad_image,
-                  grad_depth=grad_depth, grad_transmittance=grad_transmittance,
-                  pair_grads=pair_grads, counts=pairs.counts, bucket_offsets=pairs.bucket_offsets,
-                  bucket_tiles=pairs.bucket_tiles, checkpoints=blended.checkpoints,
-                  depth_checkpoints=blended.depth_checkpoints)
-    return SplatGrads(pair_grads, pairs.splat_counts, pairs.offsets,
-                      (("WITH_DEPTH", with_depth), *choices), earlier)
+    device.launch(
+        ADJOINT,
+        (*defines, *choices),
+        width=width,
+        height=height,
+        first_tile=pairs.tiles.start,
+        background=background,
+        ranges=pairs.ranges,
+        sorted_splats=pairs.sorted_splats,
+        emission_indices=pairs.emission_indices,
+        splats=splats,
+        **arguments,
+        image=blended.image,
+        transmittance=blended.transmittance,
+        depth=blended.depth_channel,
+        last_contributor=blended.last_contributor,
+        grad_image=grad_image,
+        grad_depth=grad_depth,
+        grad_transmittance=grad_transmittance,
+        pair_grads=pair_grads,
+        counts=pairs.counts,
+        bucket_offsets=pairs.bucket_offsets,
+        bucket_tiles=pairs.bucket_tiles,
+        checkpoints=blended.checkpoints,
+        depth_checkpoints=blended.depth_checkpoints,
+    )
+    return SplatGrads(pair_grads, pairs.splat_counts, pairs.offsets, (("WITH_DEPTH", with_depth), *choices), earlier)
 
 
 def choose_bands(counts: NDArray[np.int64], limit: int) -> tuple[range, ...]:
@@ -227,8 +317,10 @@ def choose_bands(counts: NDArray[np.int64], limit: int) -> tuple[range, ...]:
     DeviceError : if a single tile has more pairs than the limit.
     """
     if counts.max(initial=0) > limit:
-        raise DeviceError(f"{counts.max()} pairs of tile and splat in a single tile, more than "
-                          f"{limit}: use fewer gaussians (--max-gaussians)")
+        raise DeviceError(
+            f"{counts.max()} pairs of tile and splat in a single tile, more than "
+            f"{limit}: use fewer gaussians (--max-gaussians)"
+        )
     ends = np.cumsum(counts)
     bands, first = [], 0
     while first < len(counts):
@@ -247,7 +339,6 @@ def pair_limit(device: Device, width: int, height: int, with_depth: bool) -> int
     real, (tiles_x, tiles_y) = device.real.itemsize, tile_grid(device, width, height)
     # each tile may have a partial bucket
     spare = device.bucket * tiles_x * tiles_y if checkpoints else 0
-    at_once = FRAME_SHARE * device.memory_limit / (
-        2 * INDEX_BYTES + (grads + checkpoints) * real)
+    at_once = FRAME_SHARE * device.memory_limit / (2 * INDEX_BYTES + (grads + checkpoints) * real)
     in_a_buffer = BUFFER_SHARE * device.largest_buffer / (max(grads, checkpoints) * real)
     return min(PAIR_LIMIT, int(min(at_once, in_a_buffer)) - spare)

@@ -7,15 +7,32 @@ from clsplat.rendering.pipeline import Frame
 COLUMNS = 4  # pixels, weight, weighted image, distance
 
 CONTRIBUTION = Kernel(
-    "contribution.cl", "contribution", Forms(item=items("T"), group=groups("T", "TILE TILE")),
-    width="int", height="int", tiles_x="int", first_tile="int", ranges=("uint", "T", 2),
-    sorted_splats=("uint", "P"), emission_indices=("uint", "P"),
-    splats=("real", "V", SPLAT_REALS), last_contributor=("int", "H", "W"),
-    weights=("real", "H", "W"), sums=("real", "P", COLUMNS))
+    "contribution.cl",
+    "contribution",
+    Forms(item=items("T"), group=groups("T", "TILE TILE")),
+    width="int",
+    height="int",
+    tiles_x="int",
+    first_tile="int",
+    ranges=("uint", "T", 2),
+    sorted_splats=("uint", "P"),
+    emission_indices=("uint", "P"),
+    splats=("real", "V", SPLAT_REALS),
+    last_contributor=("int", "H", "W"),
+    weights=("real", "H", "W"),
+    sums=("real", "P", COLUMNS),
+)
 SUM = Kernel(
-    "contribution.cl", "sum_contributions", each("V"), carried="uint",
-    counts=("uint", FRAME_COUNTS), splat_counts=("uint", "V"), offsets=("uint", "V"),
-    sums=("real", "P", COLUMNS), totals=("real", "V", COLUMNS))
+    "contribution.cl",
+    "sum_contributions",
+    each("V"),
+    carried="uint",
+    counts=("uint", FRAME_COUNTS),
+    splat_counts=("uint", "V"),
+    offsets=("uint", "V"),
+    sums=("real", "P", COLUMNS),
+    totals=("real", "V", COLUMNS),
+)
 
 
 def contribution(device: Device, frame: Frame, weights: Array) -> Array:
@@ -37,12 +54,27 @@ def contribution(device: Device, frame: Frame, weights: Array) -> Array:
     for number, band in enumerate(frame.bands):
         pairs = frame.pairs_of(band)
         sums = device.empty((pairs.count, COLUMNS))
-        device.launch(CONTRIBUTION, width=width, height=height, tiles_x=pairs.tiles_x,
-                      first_tile=pairs.tiles.start, ranges=pairs.ranges,
-                      sorted_splats=pairs.sorted_splats, emission_indices=pairs.emission_indices,
-                      splats=frame.splats, last_contributor=frame.blended.last_contributor,
-                      weights=weights, sums=sums)
-        device.launch(SUM, carried=number > 0, counts=pairs.counts,
-                      splat_counts=pairs.splat_counts, offsets=pairs.offsets, sums=sums,
-                      totals=totals)
+        device.launch(
+            CONTRIBUTION,
+            width=width,
+            height=height,
+            tiles_x=pairs.tiles_x,
+            first_tile=pairs.tiles.start,
+            ranges=pairs.ranges,
+            sorted_splats=pairs.sorted_splats,
+            emission_indices=pairs.emission_indices,
+            splats=frame.splats,
+            last_contributor=frame.blended.last_contributor,
+            weights=weights,
+            sums=sums,
+        )
+        device.launch(
+            SUM,
+            carried=number > 0,
+            counts=pairs.counts,
+            splat_counts=pairs.splat_counts,
+            offsets=pairs.offsets,
+            sums=sums,
+            totals=totals,
+        )
     return totals

@@ -8,11 +8,20 @@ from clsplat.primitives.compact import chunk_size, chunks_of
 from clsplat.rendering.blend import Defines
 from clsplat.rendering.project import Rows
 
-CULL = Kernel("cull.cl", "cull",
-              Forms(item=items("count/chunk"), group=groups("count/chunk", "SCAN_GROUP")),
-              count="uint", chunk="uint", camera=("real", CAMERA_REALS),
-              positions=("real", "N", 3), log_scales=("real", "N", 3), quaternions=("real", "N", 4),
-              opacity_logits=("real", "N"), flags=("uint", "N"), totals=("uint", "T"))
+CULL = Kernel(
+    "cull.cl",
+    "cull",
+    Forms(item=items("count/chunk"), group=groups("count/chunk", "SCAN_GROUP")),
+    count="uint",
+    chunk="uint",
+    camera=("real", CAMERA_REALS),
+    positions=("real", "N", 3),
+    log_scales=("real", "N", 3),
+    quaternions=("real", "N", 4),
+    opacity_logits=("real", "N"),
+    flags=("uint", "N"),
+    totals=("uint", "T"),
+)
 
 
 def cull(device: Device, rows: Rows, camera: Array, defines: Defines) -> tuple[Array, Array]:
@@ -26,8 +35,17 @@ def cull(device: Device, rows: Rows, camera: Array, defines: Defines) -> tuple[A
     count = len(rows["positions"])
     flags = device.empty(count, np.uint32)
     totals = device.empty(chunks_of(device, count), np.uint32)
-    device.launch(CULL, defines, count=count, chunk=chunk_size(device, count), camera=camera,
-                  positions=rows["positions"], log_scales=rows["log_scales"],
-                  quaternions=rows["quaternions"], opacity_logits=rows["opacity_logits"],
-                  flags=flags, totals=totals)
+    device.launch(
+        CULL,
+        defines,
+        count=count,
+        chunk=chunk_size(device, count),
+        camera=camera,
+        positions=rows["positions"],
+        log_scales=rows["log_scales"],
+        quaternions=rows["quaternions"],
+        opacity_logits=rows["opacity_logits"],
+        flags=flags,
+        totals=totals,
+    )
     return flags, totals

@@ -67,8 +67,15 @@ class Frame:
         """The Pairs of one of `bands`: kept, or computed again."""
         width, height = self.size
         return self.pairs or bin.bin_splats(
-            self.splats.device, self.splats, self.counts, self.order, width, height, band,
-            room=self.room.pairs if self.room else None)
+            self.splats.device,
+            self.splats,
+            self.counts,
+            self.order,
+            width,
+            height,
+            band,
+            room=self.room.pairs if self.room else None,
+        )
 
 
 class Renderer:
@@ -85,9 +92,17 @@ class Renderer:
     smooth_cutoff : for tests only (cl/include/footprint.h).
     """
 
-    def __init__(self, device: Device, sh_degree: int, near: float, antialiased: bool = False,
-                 background: Sequence[float] = (0.0, 0.0, 0.0), smooth_cutoff: bool = False,
-                 orthographic: bool = False, low_pass: float = project.LOW_PASS) -> None:
+    def __init__(
+        self,
+        device: Device,
+        sh_degree: int,
+        near: float,
+        antialiased: bool = False,
+        background: Sequence[float] = (0.0, 0.0, 0.0),
+        smooth_cutoff: bool = False,
+        orthographic: bool = False,
+        low_pass: float = project.LOW_PASS,
+    ) -> None:
         self.device, self.near, self.smooth_cutoff = device, near, smooth_cutoff
         self.orthographic, self.low_pass = orthographic, low_pass
         self.background, self.skipped = device.zeros((3,)), device.zeros((1,), np.uint32)
@@ -100,10 +115,20 @@ class Renderer:
             raise ValueError("a renderer is for orthographic cameras, or for pinhole cameras")
         return project.pack_camera(self.device, camera, self.near, self.low_pass)
 
-    def render(self, rows: project.Rows, camera: Array, width: int, height: int, sh_degree: int,
-               with_depth: bool = False, room: Room | None = None, counts: Array | None = None,
-               exposure: blend.Exposure | None = None, features: Array | None = None,
-               depth_percent: int = 0) -> Frame:
+    def render(
+        self,
+        rows: project.Rows,
+        camera: Array,
+        width: int,
+        height: int,
+        sh_degree: int,
+        with_depth: bool = False,
+        room: Room | None = None,
+        counts: Array | None = None,
+        exposure: blend.Exposure | None = None,
+        features: Array | None = None,
+        depth_percent: int = 0,
+    ) -> Frame:
         """Render gaussians from a camera.
 
         Parameters
@@ -129,20 +154,19 @@ class Renderer:
             if exposure is not None:
                 raise ValueError("features have no exposure")
             if not 1 <= features.shape[1] <= blend.MOST_CHANNELS:
-                raise ShapeError(f"features have 1 to {blend.MOST_CHANNELS} channels, not "
-                                 f"{features.shape[1]}")
+                raise ShapeError(f"features have 1 to {blend.MOST_CHANNELS} channels, not {features.shape[1]}")
             sh_degree = 0  # colours are not drawn
         visible = self.visible(rows, camera, counts, room)
-        splats, depth_keys = project.project(device, rows, visible, counts, camera, sh_degree,
-                                             self._project_defines)
+        splats, depth_keys = project.project(device, rows, visible, counts, camera, sh_degree, self._project_defines)
         order = stable_sort(device, depth_keys, counts)[1] if bin.NEEDS_ORDER.of(device) else None
         numbered = None
         if with_depth and depth_percent and len(visible) <= MOST_NUMBERED:
             numbered = number_splats(device, splats, self._project_defines)
 
         def binned(band: range | None, limit: int = bin.PAIR_LIMIT) -> bin.Pairs:
-            return bin.bin_splats(device, splats, counts, order, width, height, band, limit,
-                                  room.pairs if room else None)
+            return bin.bin_splats(
+                device, splats, counts, order, width, height, band, limit, room.pairs if room else None
+            )
 
         pairs, bands = None, room.bands if room else (None,)
         if bands == (None,):
@@ -150,28 +174,47 @@ class Renderer:
             try:
                 pairs = binned(None, limit)
             except bin.TooManyPairs:
-                bands = blend.choose_bands(bin.count_tiles(device, splats, counts, width, height),
-                                           limit)
+                bands = blend.choose_bands(bin.count_tiles(device, splats, counts, width, height), limit)
         blended, of_visible = None, None if features is None else blend.Features(features, visible)
         defines = blend.blend_defines(with_depth, self.smooth_cutoff, depth_percent)
         for band in bands:
-            blended = blend.blend(device, splats if numbered is None else numbered,
-                                  pairs or binned(band), width, height,
-                                  self._background(of_visible), defines, blended, exposure,
-                                  of_visible)
+            blended = blend.blend(
+                device,
+                splats if numbered is None else numbered,
+                pairs or binned(band),
+                width,
+                height,
+                self._background(of_visible),
+                defines,
+                blended,
+                exposure,
+                of_visible,
+            )
         assert blended is not None  # an image has at least one band
         if numbered is not None:
             ray_depth(device, rows, visible, camera, blended.depth, self._project_defines)
-        return Frame(camera, sh_degree, counts, visible, splats, order, pairs, bands, room, blended,
-                     with_depth, depth_percent, of_visible)
+        return Frame(
+            camera,
+            sh_degree,
+            counts,
+            visible,
+            splats,
+            order,
+            pairs,
+            bands,
+            room,
+            blended,
+            with_depth,
+            depth_percent,
+            of_visible,
+        )
 
     def most_pairs(self, width: int, height: int, with_depth: bool) -> int:
         """The largest number of pairs that a band of a frame may have; a frame that has more is
         rendered in bands, to the same bytes."""
         return blend.pair_limit(self.device, width, height, with_depth)
 
-    def measure(self, rows: project.Rows, camera: Array, width: int, height: int
-                ) -> tuple[int, NDArray[np.int64]]:
+    def measure(self, rows: project.Rows, camera: Array, width: int, height: int) -> tuple[int, NDArray[np.int64]]:
         """How many splats `render` would have, and how many pairs in each tile; waits.
 
         It neither sorts nor blends.
@@ -181,19 +224,32 @@ class Renderer:
         splats, _ = project.project(device, rows, visible, counts, camera, 0, self._project_defines)
         return len(visible), bin.count_tiles(device, splats, counts, width, height)
 
-    def visible(self, rows: project.Rows, camera: Array, counts: Array | None = None,
-                room: Room | None = None) -> Array:
+    def visible(
+        self, rows: project.Rows, camera: Array, counts: Array | None = None, room: Room | None = None
+    ) -> Array:
         """uint[V], the rows of the gaussians that `render` would draw, ascending; waits without a
         room."""
         flags, totals = cull(self.device, rows, camera, self._project_defines)
-        return compact(self.device, flags, new_counts(self.device) if counts is None else counts,
-                       room.visible if room else None, totals)
+        return compact(
+            self.device,
+            flags,
+            new_counts(self.device) if counts is None else counts,
+            room.visible if room else None,
+            totals,
+        )
 
-    def adjoint(self, rows: project.Rows, frame: Frame, grad_image: Array,
-                grad_depth: Array | None = None,
-                grad_transmittance: Array | None = None, frozen: Array | None = None,
-                statistics: tuple[Array, Array] | None = None, masked: Array | None = None,
-                with_pose: bool = False) -> project.Gradients:
+    def adjoint(
+        self,
+        rows: project.Rows,
+        frame: Frame,
+        grad_image: Array,
+        grad_depth: Array | None = None,
+        grad_transmittance: Array | None = None,
+        frozen: Array | None = None,
+        statistics: tuple[Array, Array] | None = None,
+        masked: Array | None = None,
+        with_pose: bool = False,
+    ) -> project.Gradients:
         """Gradients by the gaussians from gradients by a frame (backward pass).
 
         Parameters
@@ -210,31 +266,51 @@ class Renderer:
         if frame.with_depth and (grad_depth is None or grad_transmittance is None):
             zero = device.empty(frame.image.shape[1:])
             zero.fill(0)
-        grads = (grad_image, zero if grad_depth is None else grad_depth,
-                 zero if grad_transmittance is None else grad_transmittance)
+        grads = (
+            grad_image,
+            zero if grad_depth is None else grad_depth,
+            zero if grad_transmittance is None else grad_transmittance,
+        )
         earlier, (*before, last) = None, frame.bands  # an image has at least one band
         for band in before:
             earlier = project.sum_pairs(
-                device, self._splat_grads(frame, frame.pairs_of(band), grads, earlier),
-                frame.counts, self._project_defines)
+                device,
+                self._splat_grads(frame, frame.pairs_of(band), grads, earlier),
+                frame.counts,
+                self._project_defines,
+            )
         splat_grads = self._splat_grads(frame, frame.pairs_of(last), grads, earlier)
         return project.project_adjoint(
-            device, rows, frame.visible, frame.counts, frame.camera, frame.sh_degree,
-            self._project_defines, splat_grads, self.skipped, frame.size, frozen, statistics,
-            masked, with_pose)
+            device,
+            rows,
+            frame.visible,
+            frame.counts,
+            frame.camera,
+            frame.sh_degree,
+            self._project_defines,
+            splat_grads,
+            self.skipped,
+            frame.size,
+            frozen,
+            statistics,
+            masked,
+            with_pose,
+        )
 
-    def _splat_grads(self, frame: Frame, pairs: bin.Pairs,
-                     grads: tuple[Array, Array | None, Array | None],
-                     earlier: Array | None) -> blend.SplatGrads:
+    def _splat_grads(
+        self, frame: Frame, pairs: bin.Pairs, grads: tuple[Array, Array | None, Array | None], earlier: Array | None
+    ) -> blend.SplatGrads:
         """The gradients of a band, after those of earlier bands."""
         device, background = self.device, self._background(frame.features)
         defines = blend.blend_defines(frame.with_depth, self.smooth_cutoff)
         if pairs is not frame.pairs and pairs.bucket_tiles is not None:  # for the checkpoints
             width, height = frame.size
-            blend.blend(device, frame.splats, pairs, width, height, background, defines,
-                        frame.blended, features=frame.features)
-        return blend.blend_adjoint(device, frame.splats, pairs, frame.blended, background, *grads,
-                                   defines, earlier, frame.features)
+            blend.blend(
+                device, frame.splats, pairs, width, height, background, defines, frame.blended, features=frame.features
+            )
+        return blend.blend_adjoint(
+            device, frame.splats, pairs, frame.blended, background, *grads, defines, earlier, frame.features
+        )
 
     def _background(self, features: blend.Features | None) -> Array:
         """The background: real[3], or of features real[C] of zeros."""

@@ -8,12 +8,21 @@ from clsplat.rendering.project import Rows
 
 MOST_NUMBERED = 1 << 24  # splats whose numbers float32 holds
 
-NUMBER = Kernel("ray_depth.cl", "number_splats", each("count"), count="uint",
-                splats=("real", "V", SPLAT_REALS))
-RAY_DEPTH = Kernel("ray_depth.cl", "ray_depth", each("width height"), width="int", height="int",
-                   rows=("uint", "V"), camera=("real", CAMERA_REALS), positions=("real", "N", 3),
-                   opacity_logits=("real", "N"), log_scales=("real", "N", 3),
-                   quaternions=("real", "N", 4), depth=("real", "H", "W"))
+NUMBER = Kernel("ray_depth.cl", "number_splats", each("count"), count="uint", splats=("real", "V", SPLAT_REALS))
+RAY_DEPTH = Kernel(
+    "ray_depth.cl",
+    "ray_depth",
+    each("width height"),
+    width="int",
+    height="int",
+    rows=("uint", "V"),
+    camera=("real", CAMERA_REALS),
+    positions=("real", "N", 3),
+    opacity_logits=("real", "N"),
+    log_scales=("real", "N", 3),
+    quaternions=("real", "N", 4),
+    depth=("real", "H", "W"),
+)
 
 
 def number_splats(device: Device, splats: Array, defines: Defines) -> Array:
@@ -24,8 +33,7 @@ def number_splats(device: Device, splats: Array, defines: Defines) -> Array:
     return numbered
 
 
-def ray_depth(device: Device, rows: Rows, visible: Array, camera: Array, depth: Array,
-              defines: Defines) -> None:
+def ray_depth(device: Device, rows: Rows, visible: Array, camera: Array, depth: Array, defines: Defines) -> None:
     """Turn numbers of splats into the depths at which the rays of pixels pass their gaussians.
 
     Parameters
@@ -37,6 +45,16 @@ def ray_depth(device: Device, rows: Rows, visible: Array, camera: Array, depth: 
     defines : as of `project`.
     """
     height, width = depth.shape
-    device.launch(RAY_DEPTH, defines, width=width, height=height, rows=visible, camera=camera,
-                  positions=rows["positions"], opacity_logits=rows["opacity_logits"],
-                  log_scales=rows["log_scales"], quaternions=rows["quaternions"], depth=depth)
+    device.launch(
+        RAY_DEPTH,
+        defines,
+        width=width,
+        height=height,
+        rows=visible,
+        camera=camera,
+        positions=rows["positions"],
+        opacity_logits=rows["opacity_logits"],
+        log_scales=rows["log_scales"],
+        quaternions=rows["quaternions"],
+        depth=depth,
+    )

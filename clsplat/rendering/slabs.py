@@ -47,8 +47,18 @@ class ModelRenderer(Protocol):
     def pack(self, camera: Camera, /) -> Any:
         """The camera as `render` expects it."""
 
-    def render(self, rows: Any, camera: Any, width: int, height: int, sh_degree: int, /,
-               with_depth: bool = False, *, depth_percent: int = 0) -> Frame | SlabFrame:
+    def render(
+        self,
+        rows: Any,
+        camera: Any,
+        width: int,
+        height: int,
+        sh_degree: int,
+        /,
+        with_depth: bool = False,
+        *,
+        depth_percent: int = 0,
+    ) -> Frame | SlabFrame:
         """Render the model from a packed camera."""
 
 
@@ -66,15 +76,21 @@ def gaussian_limit(device: Device, sh_degree: int) -> int:
     """The largest number of gaussians for which the device has memory at a time."""
     widths = [field.width(sh_degree) for field in LEARNED]
     real = device.real.itemsize
-    room = MODEL_SHARE * device.handle.global_mem_size / (
-        real * (sum(widths) + SPLAT_REALS) + 4 * INDICES)
+    room = MODEL_SHARE * device.handle.global_mem_size / (real * (sum(widths) + SPLAT_REALS) + 4 * INDICES)
     in_a_buffer = BUFFER_SHARE * device.largest_buffer / (real * max(*widths, SPLAT_REALS))
     return max(1, int(min(room, in_a_buffer)))
 
 
-def open_model(device: Device, gaussians: Gaussians, near: float, antialiased: bool = False,
-               background: Sequence[float] = (0.0, 0.0, 0.0), *, orthographic: bool = False,
-               low_pass: float = LOW_PASS) -> tuple[ModelRenderer, Any]:
+def open_model(
+    device: Device,
+    gaussians: Gaussians,
+    near: float,
+    antialiased: bool = False,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    *,
+    orthographic: bool = False,
+    low_pass: float = LOW_PASS,
+) -> tuple[ModelRenderer, Any]:
     """Prepare finished gaussians for rendering.
 
     Parameters
@@ -111,22 +127,30 @@ class Parts:
         """Parts of `size` consecutive rows: in a merged model, these lie in the same block."""
         positions, largest = rows["positions"], rows["log_scales"].max(axis=1)
         firsts = np.arange(0, len(positions), size)
-        low, high, scale = (end.reduceat(values, firsts).astype(np.float64) for end, values in (
-            (np.minimum, positions), (np.maximum, positions), (np.maximum, largest)))
+        low, high, scale = (
+            end.reduceat(values, firsts).astype(np.float64)
+            for end, values in ((np.minimum, positions), (np.maximum, positions), (np.maximum, largest))
+        )
         return cls(rows, np.append(firsts, len(positions)), low, high, np.exp(scale))
 
     def seen(self, camera: Camera, near: float, low_pass: float = LOW_PASS) -> list[slice]:
         """Slices of the rows that a camera may see; all that `cull` would draw is in one."""
         seen = boxes_seen(self.low, self.high, self.scales, camera, near, low_pass)
-        return [slice(*self.firsts[part:part + 2]) for part in np.flatnonzero(seen)]
+        return [slice(*self.firsts[part : part + 2]) for part in np.flatnonzero(seen)]
 
     def read(self, name: str, rows: slice | NDArray[np.int64]) -> NDArray[np.floating]:
         """A field of some rows."""
         return self.rows[name][rows]
 
 
-def boxes_seen(low: NDArray[np.float64], high: NDArray[np.float64], scales: NDArray[np.float64],
-               camera: Camera, near: float, low_pass: float = LOW_PASS) -> NDArray[np.bool_]:
+def boxes_seen(
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    scales: NDArray[np.float64],
+    camera: Camera,
+    near: float,
+    low_pass: float = LOW_PASS,
+) -> NDArray[np.bool_]:
     """bool[P]: whether a camera may see gaussians of boxes; where not, `cull` draws none of them.
 
     A footprint reaches into the image from the left if f x/z + c + e > 0, where its half width
@@ -185,22 +209,39 @@ class SlabRenderer:
     limit : gaussians of a slab; None: as many as the device has memory for.
     """
 
-    def __init__(self, device: Device, sh_degree: int, near: float, antialiased: bool = False,
-                 background: Sequence[float] = (0.0, 0.0, 0.0), limit: int | None = None,
-                 orthographic: bool = False, low_pass: float = LOW_PASS) -> None:
+    def __init__(
+        self,
+        device: Device,
+        sh_degree: int,
+        near: float,
+        antialiased: bool = False,
+        background: Sequence[float] = (0.0, 0.0, 0.0),
+        limit: int | None = None,
+        orthographic: bool = False,
+        low_pass: float = LOW_PASS,
+    ) -> None:
         self.device, self.near = device, near
         self.limit = limit or gaussian_limit(device, sh_degree)
         self.background = np.asarray(background, np.float64)
-        self._renderer = Renderer(device, sh_degree, near, antialiased, orthographic=orthographic,
-                                  low_pass=low_pass)  # on black
+        self._renderer = Renderer(
+            device, sh_degree, near, antialiased, orthographic=orthographic, low_pass=low_pass
+        )  # on black
         self._defines = project_defines(0, antialiased, orthographic)  # for depths alone
 
     def pack(self, camera: Camera) -> tuple[Camera, Array]:
         """The camera for `render`: in host memory, to choose the parts, and on the device."""
         return camera, self._renderer.pack(camera)
 
-    def render(self, parts: SlabParts, camera: tuple[Camera, Array], width: int, height: int,
-               sh_degree: int, with_depth: bool = False, depth_percent: int = 0) -> SlabFrame:
+    def render(
+        self,
+        parts: SlabParts,
+        camera: tuple[Camera, Array],
+        width: int,
+        height: int,
+        sh_degree: int,
+        with_depth: bool = False,
+        depth_percent: int = 0,
+    ) -> SlabFrame:
         """Render a model; arguments as for `pipeline.Renderer.render`. A depth at a share of the
         light is, in the slab where the transmittance falls that low, that of this slab's own."""
         host_camera, packed = camera
@@ -212,11 +253,12 @@ class SlabRenderer:
         for begin in range(0, len(drawn), self.limit):
             if left.max() < TRANSMITTANCE_MIN:
                 break
-            chosen = (drawn[begin:begin + self.limit] & ROW).astype(np.int64)
+            chosen = (drawn[begin : begin + self.limit] & ROW).astype(np.int64)
             rows.clear()  # gives its memory to the next slab
             rows |= {f.name: device.upload(parts.read(f.name, chosen)) for f in LEARNED}
-            slab = self._renderer.render(rows, packed, width, height, sh_degree, with_depth,
-                                         depth_percent=depth_percent).blended
+            slab = self._renderer.render(
+                rows, packed, width, height, sh_degree, with_depth, depth_percent=depth_percent
+            ).blended
             image += left * slab.image.download()
             transmittance = slab.transmittance.download()
             if with_depth and depth_percent:
@@ -227,8 +269,7 @@ class SlabRenderer:
             left *= transmittance
             slabs += 1
         image += left * self.background[:, None, None].astype(real)
-        return SlabFrame(Blended(device.upload(image), device.upload(left), None,
-                                 device.upload(depth)), slabs)
+        return SlabFrame(Blended(device.upload(image), device.upload(left), None, device.upload(depth)), slabs)
 
     def _front_to_back(self, parts: SlabParts, camera: Camera, packed: Array) -> NDArray[np.uint64]:
         """uint64[V]: the rows that are drawn, by depth as the device computes it, ties by row.
@@ -241,11 +282,11 @@ class SlabRenderer:
             counts = new_counts(device)
             visible = self._renderer.visible(rows, packed, counts)
             # the splats are not used, so any colours will do
-            rows |= {"sh_constant": rows["positions"],
-                     "sh_rest": device.empty((len(rows["positions"]), 0, 3))}
+            rows |= {"sh_constant": rows["positions"], "sh_rest": device.empty((len(rows["positions"]), 0, 3))}
             _, depth_keys = project(device, rows, visible, counts, packed, 0, self._defines)
-            drawn.append(depth_keys.download().astype(np.uint64) << np.uint64(32)
-                         | visible.download() + np.uint64(piece.start))
+            drawn.append(
+                depth_keys.download().astype(np.uint64) << np.uint64(32) | visible.download() + np.uint64(piece.start)
+            )
         order = np.concatenate(drawn)
         order.sort()
         return order

@@ -28,8 +28,7 @@ GATHER_BYTES = 64  # for each gaussian that is drawn at a time: which node has i
 PAIR_BYTES = 128  # likewise, where the device has the host's memory: pairs with tiles (measured)
 
 
-def choose(tree: Tree, camera: Camera, pixels: float, near: float, low_pass: float = LOW_PASS
-           ) -> NDArray[np.intp]:
+def choose(tree: Tree, camera: Camera, pixels: float, near: float, low_pass: float = LOW_PASS) -> NDArray[np.intp]:
     """The nodes that a camera needs, ascending; together they replace all that it may see.
 
     They are the coarsest whose mean sigma covers at most `pixels` where they are nearest to the
@@ -67,15 +66,16 @@ class NodeParts:
 
     def seen(self, _camera: Camera, _near: float, _low_pass: float = LOW_PASS) -> list[slice]:
         """Slices of all rows: the nodes were chosen for the camera."""
-        return [slice(begin, min(begin + slabs.PART_ROWS, self.count))
-                for begin in range(0, self.count, slabs.PART_ROWS)]
+        return [
+            slice(begin, min(begin + slabs.PART_ROWS, self.count)) for begin in range(0, self.count, slabs.PART_ROWS)
+        ]
 
     def read(self, name: str, rows: slice | NDArray[np.int64]) -> NDArray[np.float32]:
         """float32[M, *row shape]: a field of these rows."""
         if isinstance(rows, slice):
             first, end = np.searchsorted(self._firsts, (rows.start + 1, rows.stop)) - (1, 0)
             whole = np.concatenate([self._tree.read(node, name) for node in self._nodes[first:end]])
-            return whole[rows.start - self._firsts[first]:][:rows.stop - rows.start]
+            return whole[rows.start - self._firsts[first] :][: rows.stop - rows.start]
         place = np.searchsorted(self._firsts, rows, side="right") - 1
         order = np.argsort(place, kind="stable")
         values = np.empty((len(rows), *FIELDS[name].row_shape(self._tree.sh_degree)), np.float32)
@@ -97,14 +97,26 @@ class TreeRenderer:
     limit : gaussians that are drawn at a time; None: as many as memory allows.
     """
 
-    def __init__(self, device: Device, tree: Tree, near: float, antialiased: bool = False,
-                 background: Sequence[float] = (0.0, 0.0, 0.0), *,
-                 host_bytes: float = HOST_BYTES, limit: int | None = None) -> None:
+    def __init__(
+        self,
+        device: Device,
+        tree: Tree,
+        near: float,
+        antialiased: bool = False,
+        background: Sequence[float] = (0.0, 0.0, 0.0),
+        *,
+        host_bytes: float = HOST_BYTES,
+        limit: int | None = None,
+    ) -> None:
         self.device, self.near = device, near
         self._pixels = MOST_SIGMA_PIXELS[antialiased]
-        self._limit = limit or max(1, min(
-            slabs.gaussian_limit(device, tree.sh_degree),
-            int(AT_A_TIME * host_bytes / _drawn_bytes(device, tree.sh_degree))))
+        self._limit = limit or max(
+            1,
+            min(
+                slabs.gaussian_limit(device, tree.sh_degree),
+                int(AT_A_TIME * host_bytes / _drawn_bytes(device, tree.sh_degree)),
+            ),
+        )
         settings = device, tree.sh_degree, near, antialiased, background
         self._renderer = Renderer(*settings)
         self._slabs = slabs.SlabRenderer(*settings, self._limit)
@@ -115,22 +127,31 @@ class TreeRenderer:
         """The camera as `render` expects it."""
         return camera
 
-    def render(self, tree: Tree, camera: Camera, width: int, height: int, sh_degree: int,
-               with_depth: bool = False, depth_percent: int = 0) -> Frame | slabs.SlabFrame:
+    def render(
+        self,
+        tree: Tree,
+        camera: Camera,
+        width: int,
+        height: int,
+        sh_degree: int,
+        with_depth: bool = False,
+        depth_percent: int = 0,
+    ) -> Frame | slabs.SlabFrame:
         """Render a tree; arguments as for `pipeline.Renderer.render`."""
         chosen = choose(tree, camera, self._pixels, self.near, self._renderer.low_pass)
         parts = NodeParts(tree, chosen)
         if not 0 < parts.count <= self._limit:
             self._rows = {}
-            return self._slabs.render(parts, self._slabs.pack(camera), width, height, sh_degree,
-                                      with_depth, depth_percent)
+            return self._slabs.render(
+                parts, self._slabs.pack(camera), width, height, sh_degree, with_depth, depth_percent
+            )
         if not (self._rows and np.array_equal(chosen, self._chosen)):
             self._rows = {}  # gives its memory to the new ones
-            self._rows = {name: self.device.upload(parts.read(name, slice(0, parts.count)))
-                          for name in ORDER}
+            self._rows = {name: self.device.upload(parts.read(name, slice(0, parts.count))) for name in ORDER}
             self._chosen = chosen
-        return self._renderer.render(self._rows, self._renderer.pack(camera), width, height,
-                                     sh_degree, with_depth, depth_percent=depth_percent)
+        return self._renderer.render(
+            self._rows, self._renderer.pack(camera), width, height, sh_degree, with_depth, depth_percent=depth_percent
+        )
 
 
 def _drawn_bytes(device: Device, sh_degree: int) -> int:

@@ -19,8 +19,11 @@ from clsplat.schedule.plan import size_at
 
 Chart = dict[str, Any]  # what web/chart.js reads
 DIGITS = 6  # of a number in a page
-MARKS = {"level": "dashed: larger photos begin", "grow": "|: gaussians added",
-         "reset": "▾: opacities lowered"}  # event -> what its mark means
+MARKS = {
+    "level": "dashed: larger photos begin",
+    "grow": "|: gaussians added",
+    "reset": "▾: opacities lowered",
+}  # event -> what its mark means
 
 
 @dataclass(frozen=True)
@@ -43,13 +46,16 @@ class Line:
     high: NDArray[np.float64] | None = None
 
 
-def _panel(title: str, lines: Sequence[Line], scale: str = "linear", levels: Sequence[float] = ()
-           ) -> dict[str, Any]:
+def _panel(title: str, lines: Sequence[Line], scale: str = "linear", levels: Sequence[float] = ()) -> dict[str, Any]:
     """One pair of axes: the `scale` of y is "linear", "log", or "count", from 0 with k and M, and a
     line is drawn at the `levels` of y; `data` are the columns x, y, y, ... of uPlot."""
-    return {"title": title, "scale": scale, "levels": list(levels), "data": _columns(lines),
-            "lines": [{"label": line.label, "colour": line.colour, "kind": line.kind}
-                      for line in lines]}
+    return {
+        "title": title,
+        "scale": scale,
+        "levels": list(levels),
+        "data": _columns(lines),
+        "lines": [{"label": line.label, "colour": line.colour, "kind": line.kind} for line in lines],
+    }
 
 
 def _columns(lines: Iterable[Line]) -> list[list[float | None]]:
@@ -63,8 +69,7 @@ def _columns(lines: Iterable[Line]) -> list[list[float | None]]:
             column = np.full(len(places), np.nan)
             column[np.searchsorted(places, line.points[0])] = values
             columns.append(column)
-    return [[float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None for value in column]
-            for column in columns]
+    return [[float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None for value in column] for column in columns]
 
 
 def drawn(description: str, chart: Callable[..., Chart | None], *arguments: object) -> str:
@@ -85,13 +90,14 @@ def drawn(description: str, chart: Callable[..., Chart | None], *arguments: obje
         return ""
     marks = "; ".join(MARKS[event] for event, places in found["marks"].items() if places)
     kind = "chart pair" if found.get("pair") else "chart"
-    return (f'<div class="{kind}" role="img" aria-label="{escape(description)}">'
-            f'<script type="application/json">{data}</script></div>\n'
-            + (f"<p class=note>{escape(marks)}.</p>\n" if marks else ""))
+    return (
+        f'<div class="{kind}" role="img" aria-label="{escape(description)}">'
+        f'<script type="application/json">{data}</script></div>\n'
+        + (f"<p class=note>{escape(marks)}.</p>\n" if marks else "")
+    )
 
 
-def comparison_chart(groups: Mapping[str, Sequence[Sequence[Record]]], levels: Sequence[float]
-                     ) -> Chart | None:
+def comparison_chart(groups: Mapping[str, Sequence[Sequence[Record]]], levels: Sequence[float]) -> Chart | None:
     """Colour-corrected PSNR and SSIM, and the number of gaussians, over training time.
 
     Each group has a line at the mean of its runs, a band from the minimum to the maximum, and a dot
@@ -102,13 +108,14 @@ def comparison_chart(groups: Mapping[str, Sequence[Sequence[Record]]], levels: S
     groups : name -> the records of its runs.
     levels : PSNR, dB, to mark.
     """
-    if not any(_is_curve(curve(run, "train_seconds", "psnr_cc", "eval"))
-               for runs in groups.values() for run in runs):
+    if not any(_is_curve(curve(run, "train_seconds", "psnr_cc", "eval")) for runs in groups.values() for run in runs):
         return None
     panels = []
-    for title, key, event in (("PSNR after the colour fit, dB", "psnr_cc", "eval"),
-                              ("SSIM after the colour fit", "ssim_cc", "eval"),
-                              ("gaussians", "gaussians", None)):
+    for title, key, event in (
+        ("PSNR after the colour fit, dB", "psnr_cc", "eval"),
+        ("SSIM after the colour fit", "ssim_cc", "eval"),
+        ("gaussians", "gaussians", None),
+    ):
         lines = []
         for colour, (name, runs) in enumerate(groups.items()):
             curves = [_once(curve(run, "train_seconds", key, event)) for run in runs]
@@ -117,8 +124,7 @@ def comparison_chart(groups: Mapping[str, Sequence[Sequence[Record]]], levels: S
             if len(runs) > 1:
                 lines.append(Line("", (x, low), colour, "band", high))
             lines += [Line("", line, colour, "dots") for line in curves if event]
-        panels.append(_panel(title, lines, "linear" if event else "count",
-                             levels if key == "psnr_cc" else ()))
+        panels.append(_panel(title, lines, "linear" if event else "count", levels if key == "psnr_cc" else ()))
     return {"x": "training time, s", "panels": panels, "marks": {}}
 
 
@@ -129,10 +135,16 @@ def score_chart(records: Sequence[Record]) -> Chart | None:
     """
     if not any(_is_curve(curve(records, "train_seconds", key, "eval")) for key in ("psnr", "ssim")):
         return None
-    panels = [_panel(title, [
-        Line(label, _once(curve(records, "train_seconds", key + suffix, "eval")), colour, "both")
-        for colour, (suffix, label) in enumerate((("_cc", "after the colour fit"), ("", "plain")))])
-        for key, title in (("psnr", "PSNR, dB"), ("ssim", "SSIM"))]
+    panels = [
+        _panel(
+            title,
+            [
+                Line(label, _once(curve(records, "train_seconds", key + suffix, "eval")), colour, "both")
+                for colour, (suffix, label) in enumerate((("_cc", "after the colour fit"), ("", "plain")))
+            ],
+        )
+        for key, title in (("psnr", "PSNR, dB"), ("ssim", "SSIM"))
+    ]
     marks: dict[str, list[tuple[float, str]]] = {event: [] for event in UPHEAVALS}
     for record in records:
         if is_upheaval(record) and record.get("train_seconds") is not None:
@@ -142,18 +154,23 @@ def score_chart(records: Sequence[Record]) -> Chart | None:
 
 def step_chart(records: Sequence[Record]) -> Chart | None:
     """Gaussians, loss and, if it changes, level over iterations; None without a curve."""
-    gaussians, loss, level = (_once(curve(records, "iteration", key))
-                              for key in ("gaussians", "loss", "level"))
+    gaussians, loss, level = (_once(curve(records, "iteration", key)) for key in ("gaussians", "loss", "level"))
     if not _is_curve(loss):  # a city takes no steps itself
         return None
-    panels = [_panel("gaussians", [Line("gaussians", gaussians, kind="steps")], "count"),
-              _panel("loss", [Line("loss", loss)], "log")]
+    panels = [
+        _panel("gaussians", [Line("gaussians", gaussians, kind="steps")], "count"),
+        _panel("loss", [Line("loss", loss)], "log"),
+    ]
     if len(set(level[1])) > 1:
-        panels.append(_panel("level: how many times smaller the images are",
-                             [Line("level", level, kind="steps")], "count"))
+        panels.append(
+            _panel("level: how many times smaller the images are", [Line("level", level, kind="steps")], "count")
+        )
     changes = zip(*curve(records, "iteration", "level", "level"))
-    return {"x": "iteration", "panels": panels, "marks": {
-        "level": [(iteration, size_at(value)) for iteration, value in changes]}}
+    return {
+        "x": "iteration",
+        "panels": panels,
+        "marks": {"level": [(iteration, size_at(value)) for iteration, value in changes]},
+    }
 
 
 def _is_curve(line: Curve) -> bool:

@@ -9,24 +9,33 @@ from clsplat.io.runs.city import PICTURE, CityFolder, StageTime
 from clsplat.report.page import Table, embedded
 from clsplat.report.scores import Record
 
-SEAM_COLUMNS = (("pixels", "pixels"), ("psnr", "PSNR"), ("elsewhere_psnr", "elsewhere"),
-                ("seam_db", "seam dB"))  # figure of a border, and its title
-SEAM_NOTE = ("seam: gain in PSNR (colour-corrected, mean of views) over the reference elsewhere, "
-             "minus the gain beside the border.")
+SEAM_COLUMNS = (
+    ("pixels", "pixels"),
+    ("psnr", "PSNR"),
+    ("elsewhere_psnr", "elsewhere"),
+    ("seam_db", "seam dB"),
+)  # figure of a border, and its title
+SEAM_NOTE = (
+    "seam: gain in PSNR (colour-corrected, mean of views) over the reference elsewhere, "
+    "minus the gain beside the border."
+)
 LONGEST_PAUSE = 10.0  # seconds without any stage that are shown
 
 
 def city_sections(folder: Path, records: Sequence[Record]) -> list[Table | str]:
     """The map of the blocks and the tables of a merged city, from its folder and metrics; nothing
     for other runs."""
-    last = {record["event"]: record for record in records
-            if record.get("event") in ("merge", "seams")}
+    last = {record["event"]: record for record in records if record.get("event") in ("merge", "seams")}
     if "merge" not in last:
         return []
     picture = folder / PICTURE
     sections = [embedded(picture, "map of the blocks")] if picture.is_file() else []
-    return [*sections, time_line(CityFolder(folder).stages()), share_table(last["merge"]),
-            *([seam_table(last["seams"])] if last.get("seams", {}).get("borders") else [])]
+    return [
+        *sections,
+        time_line(CityFolder(folder).stages()),
+        share_table(last["merge"]),
+        *([seam_table(last["seams"])] if last.get("seams", {}).get("borders") else []),
+    ]
 
 
 def time_line(stages: Sequence[StageTime]) -> str:
@@ -48,15 +57,21 @@ def time_line(stages: Sequence[StageTime]) -> str:
 
     def bar(stage: StageTime) -> str:
         text = escape(f"{stage.name}: {stage.seconds:,.1f} s")
-        return (f'<i style="left: {100 * (stage.began - first) / total:.2f}%; '
-                f'width: {100 * stage.seconds / total:.2f}%" title="{text}">{text}</i>')
+        return (
+            f'<i style="left: {100 * (stage.began - first) / total:.2f}%; '
+            f'width: {100 * stage.seconds / total:.2f}%" title="{text}">{text}</i>'
+        )
 
-    lines = "".join(f"<tr><th>{escape(worker) if row is of_worker[0] else ''}</th>"
-                    f"<td>{''.join(map(bar, row))}</td></tr>\n"
-                    for worker, of_worker in sorted(rows.items()) for row in of_worker)
-    return (f"<h2>Stages</h2>\n<p>When each worker did what, in {total:,.0f} seconds. Pauses "
-            "between commands are shortened.</p>\n"
-            f"<div class=scroll><table class=stages>\n{lines}</table></div>\n")
+    lines = "".join(
+        f"<tr><th>{escape(worker) if row is of_worker[0] else ''}</th><td>{''.join(map(bar, row))}</td></tr>\n"
+        for worker, of_worker in sorted(rows.items())
+        for row in of_worker
+    )
+    return (
+        f"<h2>Stages</h2>\n<p>When each worker did what, in {total:,.0f} seconds. Pauses "
+        "between commands are shortened.</p>\n"
+        f"<div class=scroll><table class=stages>\n{lines}</table></div>\n"
+    )
 
 
 def share_table(record: dict[str, Any]) -> Table:
@@ -64,20 +79,25 @@ def share_table(record: dict[str, Any]) -> Table:
     steps = record.get("joint_steps")
     jointly = [f"the merged model was then trained as a whole for {steps:,} steps"] if steps else []
     names = ("state", "gaussians", "trained", "views", "points", "note")
-    rows = [(f"{share['block']:03d}", *(str(share[name]) for name in names))
-            for share in record["blocks"]]
-    return Table("Blocks", ("block", *names), rows, range(2, 6), (
-        *jointly,
-        *(f"{name}: in no block: {reason}" for name, reason in record["dropped"].items())))
+    rows = [(f"{share['block']:03d}", *(str(share[name]) for name in names)) for share in record["blocks"]]
+    return Table(
+        "Blocks",
+        ("block", *names),
+        rows,
+        range(2, 6),
+        (*jointly, *(f"{name}: in no block: {reason}" for name, reason in record["dropped"].items())),
+    )
 
 
 def seam_table(seams: dict[str, Any]) -> Table:
     """A row for each border, from the result of `city.seams.find_seams`."""
+
     def cell(value: float | None) -> str:
         return "-" if value is None else str(value) if isinstance(value, int) else f"{value:.2f}"
 
-    rows = [(" | ".join(f"{block:03d}" for block in record["blocks"]),
-             *(cell(record[name]) for name, _ in SEAM_COLUMNS)) for record in seams["borders"]]
+    rows = [
+        (" | ".join(f"{block:03d}" for block in record["blocks"]), *(cell(record[name]) for name, _ in SEAM_COLUMNS))
+        for record in seams["borders"]
+    ]
     rows.append(("all", "", "", "", cell(seams["seam_db"])))
-    return Table("Seams", ("blocks", *(title for _, title in SEAM_COLUMNS)), rows, range(1, 5),
-                 (SEAM_NOTE,))
+    return Table("Seams", ("blocks", *(title for _, title in SEAM_COLUMNS)), rows, range(1, 5), (SEAM_NOTE,))

@@ -30,8 +30,7 @@ COARSE_SHARE = 1 / 8  # of the gaussians that a coarse model has at most
 Progress = Callable[[str, int, int], object]
 
 
-def encoded(gaussians: Gaussians, progress: Progress = lambda *_: None
-            ) -> tuple[dict[str, bytes], dict[str, Any]]:
+def encoded(gaussians: Gaussians, progress: Progress = lambda *_: None) -> tuple[dict[str, bytes], dict[str, Any]]:
     """Quantise and compress a model.
 
     Parameters
@@ -46,20 +45,28 @@ def encoded(gaussians: Gaussians, progress: Progress = lambda *_: None
     the numbers that turn bytes into values, with the record of each cell.
     """
     model = gaussians.with_sh_degree(used_sh_degree(gaussians)).without_spheres()
-    model = selected(model, np.all([np.isfinite(values.reshape(model.count, -1)).all(axis=1)
-                                    for values in model.rows.values()], axis=0))
+    model = selected(
+        model,
+        np.all([np.isfinite(values.reshape(model.count, -1)).all(axis=1) for values in model.rows.values()], axis=0),
+    )
     model = selected(model, morton_order(model.positions))
     rows = _cells(model)
     few = _coarse(model, rows, progress) if len(rows) > 1 else []
     planes, coding = _planes(merged([*few, *(selected(model, each) for each in rows)]))
-    cells = [{"count": len(each), "coarse": few[number].count if few else 0,
-              "centre": np.median(model.positions[each], axis=0).tolist()}
-             for number, each in enumerate(rows)]
-    counts = {"coarse": sum(each.count for each in few),
-              **{f"cell{number}": len(each) for number, each in enumerate(rows)}}
+    cells = [
+        {
+            "count": len(each),
+            "coarse": few[number].count if few else 0,
+            "centre": np.median(model.positions[each], axis=0).tolist(),
+        }
+        for number, each in enumerate(rows)
+    ]
+    counts = {
+        "coarse": sum(each.count for each in few),
+        **{f"cell{number}": len(each) for number, each in enumerate(rows)},
+    }
     ends = np.cumsum([0, *counts.values()]).tolist()
-    parts = {name: _compressed(planes, first, end)
-             for name, first, end in zip(counts, ends, ends[1:]) if end > first}
+    parts = {name: _compressed(planes, first, end) for name, first, end in zip(counts, ends, ends[1:]) if end > first}
     return parts, {"count": model.count, "cells": cells, **coding}
 
 
@@ -70,13 +77,13 @@ def _cells(model: Gaussians) -> list[NDArray[np.intp]]:
     return parted(model.positions, rows, CELL, rounds)
 
 
-def _coarse(model: Gaussians, cells: list[NDArray[np.intp]], progress: Progress
-            ) -> list[Gaussians]:
+def _coarse(model: Gaussians, cells: list[NDArray[np.intp]], progress: Progress) -> list[Gaussians]:
     """The few gaussians to which those of each cell are merged."""
     share, threads = min(COARSE / model.count, COARSE_SHARE), os.cpu_count() or 1
     result: list[Gaussians] = []
-    for few in called_ahead(lambda rows: decimated(
-            selected(model, rows), round(share * len(rows))), zip(cells), threads, threads):
+    for few in called_ahead(
+        lambda rows: decimated(selected(model, rows), round(share * len(rows))), zip(cells), threads, threads
+    ):
         result.append(few)
         progress("cell", len(result), len(cells))
     return result
@@ -85,8 +92,7 @@ def _coarse(model: Gaussians, cells: list[NDArray[np.intp]], progress: Progress
 def _compressed(planes: list[NDArray[np.uint8]], first: int, end: int) -> bytes:
     """Raw deflate of some columns of the planes."""
     compressor = zlib.compressobj(COMPRESSION, zlib.DEFLATED, -15)
-    return b"".join([*(compressor.compress(plane[first:end].tobytes())
-                       for plane in planes), compressor.flush()])
+    return b"".join([*(compressor.compress(plane[first:end].tobytes()) for plane in planes), compressor.flush()])
 
 
 def _planes(model: Gaussians) -> tuple[list[NDArray[np.uint8]], dict[str, Any]]:
@@ -104,9 +110,12 @@ def _planes(model: Gaussians) -> tuple[list[NDArray[np.uint8]], dict[str, Any]]:
     planes += [turns >> shift & 255 for shift in (0, 8, 16, 24)]
     planes += [*harmonics.T]
     return [plane.astype(np.uint8) for plane in planes], {
-        "degree": model.sh_degree, "positions": position_coding,
+        "degree": model.sh_degree,
+        "positions": position_coding,
         "logScales": [scale_low.tolist(), scale_size.tolist()],
-        "colours": [colour_low.tolist(), colour_size.tolist()], "harmonics": reaches}
+        "colours": [colour_low.tolist(), colour_size.tolist()],
+        "harmonics": reaches,
+    }
 
 
 def _places(positions: NDArray[np.float32]) -> tuple[NDArray[np.int64], list[list[float]]]:
@@ -124,8 +133,9 @@ def _places(positions: NDArray[np.float32]) -> tuple[NDArray[np.int64], list[lis
     return whole, [numbers.tolist() for numbers in (middle, unit, low, size)]
 
 
-def _steps(values: NDArray[np.floating], steps: int, clipped: float = 0.0
-           ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+def _steps(
+    values: NDArray[np.floating], steps: int, clipped: float = 0.0
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Quantise the columns of [N, 3]: (int64[N, 3] in 0 ... steps, the value of 0, and the
     difference of the value of `steps` to it)."""
     low = np.quantile(values, clipped, axis=0).astype(np.float64)
@@ -147,7 +157,7 @@ def _turns(quaternions: NDArray[np.float32]) -> NDArray[np.int64]:
 def _harmonics(rest: NDArray[np.float32], degree: int) -> tuple[NDArray[np.int64], list[float]]:
     """Harmonics above the constant as bytes int64[N, 3 bands], 128 for zero, and the value of 127
     steps above it for each degree."""
-    bands = [rest[:, (l * l - 1):(l * l + 2 * l)] for l in range(1, degree + 1)]  # noqa: E741
+    bands = [rest[:, (l * l - 1) : (l * l + 2 * l)] for l in range(1, degree + 1)]  # noqa: E741
     reaches, columns = [], [np.zeros((len(rest), 0), np.int64)]
     most = 127 // HARMONIC_STEP
     for values in bands:

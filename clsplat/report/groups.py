@@ -17,17 +17,24 @@ from clsplat.report.scores import Record
 
 FACTS = ("fingerprint", "opencl_device", "kernel_form", "version", "commit")
 # without the seed, by which runs of a group differ, and `form`, whose result is kernel_form
-OPTIONS = {option.name: option for option in options_of(TrainOptions)
-           if option.metadata["affects"] == "model" and option.name not in ("seed", "form")}
+OPTIONS = {
+    option.name: option
+    for option in options_of(TrainOptions)
+    if option.metadata["affects"] == "model" and option.name not in ("seed", "form")
+}
 KEYS = (*sorted(OPTIONS, key=lambda name: name != "schedule"), *FACTS)
 TITLES = {"fingerprint": "scene", "opencl_device": "OpenCL device"}
 UNFAIR = {  # what it means if runs differ in these keys
     "The runs have different scenes, so no score says which is better": ("fingerprint",),
-    "The runs are scored on different photos or sizes, so scores cannot be compared":
-        ("test_every", "test_offset", "downscale", "max_resolution"),
-    "The runs used different devices: scores can be compared, times cannot":
-        ("opencl_device", "kernel_form"),
-    "The runs were made by different versions of clsplat": ("version", "commit")}
+    "The runs are scored on different photos or sizes, so scores cannot be compared": (
+        "test_every",
+        "test_offset",
+        "downscale",
+        "max_resolution",
+    ),
+    "The runs used different devices: scores can be compared, times cannot": ("opencl_device", "kernel_form"),
+    "The runs were made by different versions of clsplat": ("version", "commit"),
+}
 
 
 @dataclass(frozen=True)
@@ -107,8 +114,7 @@ def grouped(runs: Iterable[Trained]) -> dict[str, list[Trained]]:
     by_values: dict[tuple[str | None, ...], list[Trained]] = {}
     for run in runs:
         by_values.setdefault(tuple(map(run.plain, KEYS)), []).append(run)
-    groups = [sorted(group, key=lambda run: (run.options.get("seed") or 0, run.name))
-              for group in by_values.values()]
+    groups = [sorted(group, key=lambda run: (run.options.get("seed") or 0, run.name)) for group in by_values.values()]
     firsts = [group[0] for group in groups]
     names: list[tuple[str, ...]] = [()] * len(firsts)
     for key in differing(firsts):
@@ -130,13 +136,16 @@ def warnings(groups: Mapping[str, Sequence[Trained]]) -> list[str]:
     """Sentences on what makes the comparison of groups unfair or uncertain."""
     runs = [run for group in groups.values() for run in group]
     different = differing(runs)
-    sentences = [f"{meaning} ({title(key)}: {' / '.join(sorted({run.text(key) for run in runs}))})."
-                 for meaning, keys in UNFAIR.items() for key in keys if key in different]
+    sentences = [
+        f"{meaning} ({title(key)}: {' / '.join(sorted({run.text(key) for run in runs}))})."
+        for meaning, keys in UNFAIR.items()
+        for key in keys
+        if key in different
+    ]
     if unfinished := [run.name for run in runs if not run.finished]:
         sentences.append(f"Not finished yet: {', '.join(unfinished)}.")
     if len({tuple(run.options.get("seed") for run in group) for group in groups.values()}) > 1:
-        sentences.append("The groups have different seeds: part of what differs between them may "
-                         "be chance.")
+        sentences.append("The groups have different seeds: part of what differs between them may be chance.")
     return sentences
 
 

@@ -46,16 +46,33 @@ class Photo:
     picture: bytes = b""
 
 
-def write_run_page(path: str | Path, run: Run, gaussians: Gaussians,
-                   photos: Sequence[Photo] = (), *, title: str = "", poster: bytes = b"",
-                   progress: Progress = lambda *_: None) -> None:
+def write_run_page(
+    path: str | Path,
+    run: Run,
+    gaussians: Gaussians,
+    photos: Sequence[Photo] = (),
+    *,
+    title: str = "",
+    poster: bytes = b"",
+    progress: Progress = lambda *_: None,
+) -> None:
     """`write_page` of the model of a run, or a part of that, as the run's first view and options
     have it; needs nothing of its scene. The title is the name of the run if it is empty."""
     options = run.options
-    write_page(path, gaussians, run.first_view, run.up, near=near_of(run),
-               title=title or full_name(run.path, run.record), antialiased=options.antialiased,
-               background=options.background, photos=photos, poster=poster,
-               georeference=run.georeference, progress=progress)
+    write_page(
+        path,
+        gaussians,
+        run.first_view,
+        run.up,
+        near=near_of(run),
+        title=title or full_name(run.path, run.record),
+        antialiased=options.antialiased,
+        background=options.background,
+        photos=photos,
+        poster=poster,
+        georeference=run.georeference,
+        progress=progress,
+    )
 
 
 def near_of(run: Run) -> float:
@@ -66,11 +83,21 @@ def near_of(run: Run) -> float:
     return NEAR_SHARE * extent
 
 
-def write_page(path: str | Path, gaussians: Gaussians, first_view: Camera,
-               up: NDArray[np.float64], *, near: float, title: str, antialiased: bool = False,
-               background: Sequence[float] = (0.0, 0.0, 0.0), photos: Sequence[Photo] = (),
-               poster: bytes = b"", georeference: Georeference | None = None,
-               progress: Progress = lambda *_: None) -> None:
+def write_page(
+    path: str | Path,
+    gaussians: Gaussians,
+    first_view: Camera,
+    up: NDArray[np.float64],
+    *,
+    near: float,
+    title: str,
+    antialiased: bool = False,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    photos: Sequence[Photo] = (),
+    poster: bytes = b"",
+    georeference: Georeference | None = None,
+    progress: Progress = lambda *_: None,
+) -> None:
     """Write a page that shows a model and lets the reader move through it.
 
     Parameters
@@ -98,22 +125,35 @@ def write_page(path: str | Path, gaussians: Gaussians, first_view: Camera,
     parts, coding = encoded(gaussians, progress)
     view = first_view.shifted(gaussians.offset - first_view.offset)
     cameras = [each.camera.shifted(gaussians.offset - each.camera.offset) for each in photos]
-    record = {**coding, **view_record(view, up, gaussians.positions, cameras,
-                                      place_record(georeference, gaussians.offset)),
-              "near": near, "antialiased": antialiased, "background": list(background)}
+    record = {
+        **coding,
+        **view_record(view, up, gaussians.positions, cameras, place_record(georeference, gaussians.offset)),
+        "near": near,
+        "antialiased": antialiased,
+        "background": list(background),
+    }
     texts = {name: _text(part) for name, part in parts.items()}
     record["characters"] = {name: len(part) for name, part in texts.items()}
-    scripts = "".join(f'<script id="{name}" type="text/plain">{part}</script>\n'
-                      for name, part in texts.items())
+    scripts = "".join(f'<script id="{name}" type="text/plain">{part}</script>\n' for name, part in texts.items())
     shown = filled("poster.html", poster=_jpeg(poster), ratio=str(view.width / view.height))
-    taken = [{"name": each.name, "picture": _jpeg(each.picture), **_camera_record(camera)}
-             for each, camera in zip(photos, cameras)]
-    text = filled("model.html", title=escape(title), model=script_json(record),
-                  gaussians=scripts, poster=shown if poster else "", photos=script_json(taken))
+    taken = [
+        {"name": each.name, "picture": _jpeg(each.picture), **_camera_record(camera)}
+        for each, camera in zip(photos, cameras)
+    ]
+    text = filled(
+        "model.html",
+        title=escape(title),
+        model=script_json(record),
+        gaussians=scripts,
+        poster=shown if poster else "",
+        photos=script_json(taken),
+    )
     if len(text) > LARGEST_PAGE:
-        raise InputError(f"{path}: a page of {gaussians.count:,} gaussians would have "
-                         f"{len(text) >> 20:,} MiB, more than browsers open; write fewer with "
-                         "`clsplat train --max-gaussians`, or another format")
+        raise InputError(
+            f"{path}: a page of {gaussians.count:,} gaussians would have "
+            f"{len(text) >> 20:,} MiB, more than browsers open; write fewer with "
+            "`clsplat train --max-gaussians`, or another format"
+        )
     with replacing(path) as file:
         file.write(text.encode("utf-8", "backslashreplace"))
 
@@ -128,9 +168,14 @@ def _jpeg(content: bytes) -> str:
 
 
 def _camera_record(camera: Camera) -> dict[str, Any]:
-    return {"width": camera.width, "height": camera.height, "focal": list(camera.focal),
-            "centre": list(camera.centre), "rotation": camera.rotation.tolist(),
-            "position": camera.position.tolist()}
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "focal": list(camera.focal),
+        "centre": list(camera.centre),
+        "rotation": camera.rotation.tolist(),
+        "position": camera.position.tolist(),
+    }
 
 
 def place_record(georeference: Georeference | None, offset: NDArray[np.float64]) -> dict[str, Any]:
@@ -144,13 +189,16 @@ def place_record(georeference: Georeference | None, offset: NDArray[np.float64])
     """
     if georeference is None:
         return {"metric": False, "crs": "", "offset": offset.tolist()}
-    return {"metric": True, "crs": georeference.crs[:60],
-            "offset": georeference.to_map(offset).tolist()}
+    return {"metric": True, "crs": georeference.crs[:60], "offset": georeference.to_map(offset).tolist()}
 
 
-def view_record(camera: Camera, up: NDArray[np.float64], points: NDArray[np.floating],
-                photos: Sequence[Camera] = (), place: dict[str, Any] | None = None
-                ) -> dict[str, Any]:
+def view_record(
+    camera: Camera,
+    up: NDArray[np.float64],
+    points: NDArray[np.floating],
+    photos: Sequence[Camera] = (),
+    place: dict[str, Any] | None = None,
+) -> dict[str, Any]:
     """The first view and the limits of the reader's movement, as web/camera.js takes them.
 
     Parameters
@@ -179,21 +227,29 @@ def view_record(camera: Camera, up: NDArray[np.float64], points: NDArray[np.floa
     away = np.linalg.norm(np.cross(finite - centre, up), axis=1)
     slopes = np.array([each.rotation[2] @ up for each in (camera, *photos)])
     pitches = np.degrees(np.arcsin(np.clip(slopes, -1, 1)))
-    return {**_camera_record(camera), "up": up.tolist(), "distance": distance,
-            "place": place or place_record(None, np.zeros(3)),
-            "heights": np.quantile(heights, (HEIGHTS, 1 - HEIGHTS)).tolist(),
-            "bounds": {"middle": centre.tolist(), "height": float(high - low) / 2,
-                       "radius": float(np.quantile(away, 1 - BOUNDS))},
-            "middle": (camera.position + distance * camera.rotation[2]).tolist(),
-            "reach": FARTHEST * distance,
-            "ground": float(min(ground, camera.position @ up)),
-            "pitches": np.radians([max(-90, pitches.min() - FREEDOM),
-                                   min(90, pitches.max() + FREEDOM)]).tolist()}
+    return {
+        **_camera_record(camera),
+        "up": up.tolist(),
+        "distance": distance,
+        "place": place or place_record(None, np.zeros(3)),
+        "heights": np.quantile(heights, (HEIGHTS, 1 - HEIGHTS)).tolist(),
+        "bounds": {
+            "middle": centre.tolist(),
+            "height": float(high - low) / 2,
+            "radius": float(np.quantile(away, 1 - BOUNDS)),
+        },
+        "middle": (camera.position + distance * camera.rotation[2]).tolist(),
+        "reach": FARTHEST * distance,
+        "ground": float(min(ground, camera.position @ up)),
+        "pitches": np.radians([max(-90, pitches.min() - FREEDOM), min(90, pitches.max() + FREEDOM)]).tolist(),
+    }
 
 
 def filled(template: str, **values: str) -> str:
     """A file of web/ in which each {{name}} is replaced by a value, or by the file of that name."""
+
     def part(match: re.Match[str]) -> str:
         name = match[1]
         return values[name] if name in values else filled(name)
+
     return PART.sub(part, web(template))

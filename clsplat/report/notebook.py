@@ -1,5 +1,4 @@
-"""HTML for notebooks: a table of facts, a run with its curve and scores, a view, a scene, a model.
-"""
+"""HTML for notebooks: a table of facts, a run with its curve and scores, a view, a scene, a model."""
 
 import tempfile
 from dataclasses import replace
@@ -34,9 +33,11 @@ USUAL_UPS = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # georeferenced and o
 
 def table(rows: dict[str, str]) -> str:
     """An HTML table with two columns."""
-    return "<table>" + "".join(
-        f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>" for key, value in rows.items()
-    ) + "</table>"
+    return (
+        "<table>"
+        + "".join(f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>" for key, value in rows.items())
+        + "</table>"
+    )
 
 
 def run_page(run: Run) -> str:
@@ -44,45 +45,56 @@ def run_page(run: Run) -> str:
     records = run.metrics
     title = "PSNR and SSIM over training time"
     curves = drawn(title, score_chart, records)
-    return html_of(f"<p>{escape(lead(run.record, records))}</p>",
-                   curves and _framed(page(title, "", curves)), score_table(records))
+    return html_of(
+        f"<p>{escape(lead(run.record, records))}</p>", curves and _framed(page(title, "", curves)), score_table(records)
+    )
 
 
 def _framed(page: str) -> str:
     """A whole page in a frame."""
-    return (f'<iframe srcdoc="{escape(page)}" sandbox="allow-scripts" loading="lazy" '
-            'style="width: 100%; height: 480px; border: 0"></iframe>\n')
+    return (
+        f'<iframe srcdoc="{escape(page)}" sandbox="allow-scripts" loading="lazy" '
+        'style="width: 100%; height: 480px; border: 0"></iframe>\n'
+    )
 
 
 def view_card(view: View) -> str:
     """A view as HTML: its photo, its name and its camera."""
     camera = view.camera
-    return _card(view, THUMBNAIL, f"<br>{camera.width} x {camera.height}, focal length "
-                                  f"{camera.focal[0]:.4g} pixels")
+    return _card(view, THUMBNAIL, f"<br>{camera.width} x {camera.height}, focal length {camera.focal[0]:.4g} pixels")
 
 
 def _card(view: View, size: int, more: str = "") -> str:
     """A photo of at most `size` pixels a side with its name."""
     try:
-        shown = jpeg(read_photo(replace(view, camera=view.camera.reduced(1.0, size))),
-                     escape(view.name))
+        shown = jpeg(read_photo(replace(view, camera=view.camera.reduced(1.0, size))), escape(view.name))
     except (ClsplatError, OSError) as error:  # without its photo, the rest is still seen
         shown = f"<em>{escape(str(error))}</em>"
-    return as_utf8(f'<figure style="display: inline-block; margin: 0 8px 8px 0; width: {size}px; '
-                   'vertical-align: top; overflow-wrap: anywhere">'
-                   f"{shown}<figcaption>{escape(view.name)}{more}</figcaption></figure>")
+    return as_utf8(
+        f'<figure style="display: inline-block; margin: 0 8px 8px 0; width: {size}px; '
+        'vertical-align: top; overflow-wrap: anywhere">'
+        f"{shown}<figcaption>{escape(view.name)}{more}</figcaption></figure>"
+    )
 
 
 def scene_page(scene: Scene) -> str:
     """A scene as HTML: facts, a map of its cameras, and some of its photos."""
     sizes = {(view.camera.width, view.camera.height) for view in scene.views}
     size = " and ".join(f"{width} x {height}" for width, height in sorted(sizes)[:3])
-    facts = table({"scene": scene.name, "views": f"{len(scene.views)}, {size} pixels",
-                   "points": f"{len(scene.points):,}",
-                   "extent": f"{scene.extent:.4g} world units" if len(scene.points) else "unknown"}
-                  ) if scene.views else ""
+    facts = (
+        table(
+            {
+                "scene": scene.name,
+                "views": f"{len(scene.views)}, {size} pixels",
+                "points": f"{len(scene.points):,}",
+                "extent": f"{scene.extent:.4g} world units" if len(scene.points) else "unknown",
+            }
+        )
+        if scene.views
+        else ""
+    )
     cameras = survey_maps(survey_of(scene)) if scene.views else ""
-    chosen = scene.views[::-(-len(scene.views) // SHEET) or 1]
+    chosen = scene.views[:: -(-len(scene.views) // SHEET) or 1]
     return html_of(facts, cameras, "".join(_card(view, SMALL) for view in chosen))
 
 
@@ -100,11 +112,10 @@ def model_frame(gaussians: Gaussians) -> str:
     size = float(np.linalg.norm(np.median(points, axis=0) - view.position))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.html"
-        write_page(path, shown.located(np.zeros(3)), view, up, near=NEAR_SHARE * size,
-                   title="model")
+        write_page(path, shown.located(np.zeros(3)), view, up, near=NEAR_SHARE * size, title="model")
         frame = _framed(path.read_text("utf-8"))
     few = f"; {shown.count:,} are shown here" if shown.count < visible.count else ""
-    return (f"{frame}<p>{gaussians.count:,} gaussians, SH degree {gaussians.sh_degree}{few}</p>")
+    return f"{frame}<p>{gaussians.count:,} gaussians, SH degree {gaussians.sh_degree}{few}</p>"
 
 
 def smaller(gaussians: Gaussians) -> Gaussians:

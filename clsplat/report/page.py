@@ -34,25 +34,38 @@ class Table:
 
     def html(self) -> str:
         """The table for a page."""
+
         def row(cells: Sequence[str], tag: str) -> str:
-            return "<tr>" + "".join(
-                f"<{tag}{' class=number' if column in self.numbers else ''}>{escape(cell)}</{tag}>"
-                for column, cell in enumerate(cells)) + "</tr>"
+            return (
+                "<tr>"
+                + "".join(
+                    f"<{tag}{' class=number' if column in self.numbers else ''}>{escape(cell)}</{tag}>"
+                    for column, cell in enumerate(cells)
+                )
+                + "</tr>"
+            )
+
         body = "\n".join(row(cells, "td") for cells in self.rows)
         notes = "".join(f"<p class=note>{escape(note)}</p>\n" for note in self.notes)
         title = f"<h2>{escape(self.title)}</h2>\n" if self.title else ""
         # on a narrow screen, two columns of words are shown as paragraphs
         kind = " class=pairs" if len(self.head) == 2 and not self.numbers else ""
-        return (f"{title}<div class=scroll><table{kind}>\n<thead>{row(self.head, 'th')}</thead>\n"
-                f"<tbody>{body}</tbody>\n</table></div>\n{notes}")
+        return (
+            f"{title}<div class=scroll><table{kind}>\n<thead>{row(self.head, 'th')}</thead>\n"
+            f"<tbody>{body}</tbody>\n</table></div>\n{notes}"
+        )
 
     def text(self) -> str:
         """The table for the terminal."""
         lines = [self.head, *self.rows]
         widths = [max(len(line[column]) for line in lines) for column in range(len(self.head))]
-        aligned = ["  ".join(cell.rjust(width) if column in self.numbers else cell.ljust(width)
-                             for column, (cell, width) in enumerate(zip(line, widths))).rstrip()
-                   for line in lines]
+        aligned = [
+            "  ".join(
+                cell.rjust(width) if column in self.numbers else cell.ljust(width)
+                for column, (cell, width) in enumerate(zip(line, widths))
+            ).rstrip()
+            for line in lines
+        ]
         notes = (textwrap.fill(note, NOTES_WIDTH) for note in self.notes)
         return "\n".join([self.title, *aligned, *notes])
 
@@ -65,8 +78,7 @@ def embedded(path: Path, description: str) -> str:
     description : the text for readers who cannot see the picture.
     """
     data = base64.b64encode(path.read_bytes()).decode()
-    return (f'<div class=scroll><img alt="{escape(description)}" src="data:image/png;base64,{data}'
-            '"></div>\n')
+    return f'<div class=scroll><img alt="{escape(description)}" src="data:image/png;base64,{data}"></div>\n'
 
 
 def warning(text: str) -> str:
@@ -103,23 +115,26 @@ def page(title: str, lead: str, *parts: str, made: Mapping[str, Any] | None = No
     """
     body = "".join(parts)
     if 'class="chart' in body:
-        body += (f"<style>{web('uplot.css')}</style>\n"
-                 f"<script>{web('uplot.js')}\n{web('chart.js')}</script>\n")
-    text = (f'<!doctype html>\n<html lang="en">\n<head><meta charset="utf-8">\n'
-            f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>{escape(title)}</title>\n<style>{web('report.css')}</style></head>\n<body>\n"
-            f"<h1>{escape(title)}</h1>\n<p class=lead>{escape(lead)}</p>\n{_made(made or {})}"
-            f"{body}</body>\n</html>\n")
+        body += f"<style>{web('uplot.css')}</style>\n<script>{web('uplot.js')}\n{web('chart.js')}</script>\n"
+    text = (
+        f'<!doctype html>\n<html lang="en">\n<head><meta charset="utf-8">\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>{web('report.css')}</style></head>\n<body>\n"
+        f"<h1>{escape(title)}</h1>\n<p class=lead>{escape(lead)}</p>\n{_made(made or {})}"
+        f"{body}</body>\n</html>\n"
+    )
     return as_utf8(text)
 
 
 def _made(record: Mapping[str, Any]) -> str:
     """A line with what `io.origin` has recorded; "" if that is nothing."""
-    date, version, commit, command = (
-        str(record.get(key) or "") for key in ("date", "version", "commit", "command"))
+    date, version, commit, command = (str(record.get(key) or "") for key in ("date", "version", "commit", "command"))
     program = f"clsplat {version}" + (f" ({commit[:8]})" if commit else "")
-    facts = [escape(date.replace("T", " ", 1)[:16]), escape(program) if version else "",
-             f"<code>{escape(command)}</code>" if command else ""]
+    facts = [
+        escape(date.replace("T", " ", 1)[:16]),
+        escape(program) if version else "",
+        f"<code>{escape(command)}</code>" if command else "",
+    ]
     line = " · ".join(filter(None, facts))
     return f"<p class=facts>{line}</p>\n" if line else ""
 

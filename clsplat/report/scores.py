@@ -15,25 +15,37 @@ from clsplat.report.page import Table
 Record = dict[str, Any]  # a line of metrics.jsonl
 Curve = tuple[NDArray[np.float64], NDArray[np.float64]]  # x and y, [N] each, in the records' order
 # of the scores: key, title, format
-COLUMNS = (("iteration", "step", ",.0f"), ("train_seconds", "training, s", ",.1f"),
-           ("psnr_cc", "PSNR cc, dB", ".2f"), ("psnr", "PSNR, dB", ".2f"),
-           ("ssim_cc", "SSIM cc", ".4f"), ("ssim", "SSIM", ".4f"))
-PERCEPTUAL = (("flip_cc", "FLIP cc", ".4f"), ("flip", "FLIP", ".4f"),
-              ("lpips_cc", "LPIPS cc", ".4f"), ("lpips", "LPIPS", ".4f"))  # if a run has them
+COLUMNS = (
+    ("iteration", "step", ",.0f"),
+    ("train_seconds", "training, s", ",.1f"),
+    ("psnr_cc", "PSNR cc, dB", ".2f"),
+    ("psnr", "PSNR, dB", ".2f"),
+    ("ssim_cc", "SSIM cc", ".4f"),
+    ("ssim", "SSIM", ".4f"),
+)
+PERCEPTUAL = (
+    ("flip_cc", "FLIP cc", ".4f"),
+    ("flip", "FLIP", ".4f"),
+    ("lpips_cc", "LPIPS cc", ".4f"),
+    ("lpips", "LPIPS", ".4f"),
+)  # if a run has them
 GAUSSIANS = ("gaussians", "gaussians", ",.0f")
 QUALITIES = ((28.0, "very good"), (25.0, "good"), (22.0, "fair"), (0.0, "poor"))  # from so many dB
-EXPLAINED = ("As a rule of thumb for photos of real places, a PSNR from 28 dB is very good, from "
-             "25 dB good, from 22 dB fair.")
+EXPLAINED = (
+    "As a rule of thumb for photos of real places, a PSNR from 28 dB is very good, from 25 dB good, from 22 dB fair."
+)
 # what lowers the scores of the next evaluation: event -> its words, and the steps until the model
 # has recovered (training/budget.py has the measurement)
-UPHEAVALS = {"reset": ("opacities just lowered", 100), "level": ("photos just became larger", 40),
-             "grow": ("gaussians just added", 40)}
+UPHEAVALS = {
+    "reset": ("opacities just lowered", 100),
+    "level": ("photos just became larger", 40),
+    "grow": ("gaussians just added", 40),
+}
 
 
 def curve(records: Iterable[Record], x: str, y: str, event: str | None = None) -> Curve:
     """The curve of two keys over the records of one event, or of all, that have both keys."""
-    points = [(record.get(x), record.get(y)) for record in records
-              if event is None or record.get("event") == event]
+    points = [(record.get(x), record.get(y)) for record in records if event is None or record.get("event") == event]
     points = [point for point in points if None not in point]
     columns = np.array(points, np.float64).reshape(-1, 2).T
     return columns[0], columns[1]
@@ -81,8 +93,7 @@ def spread(values: Iterable[float | None]) -> tuple[float | None, float | None]:
     """The mean and the sample standard deviation of the values that are not None; each is None if
     there are too few."""
     known = [value for value in values if value is not None]
-    return (float(np.mean(known)) if known else None,
-            float(np.std(known, ddof=1)) if len(known) > 1 else None)
+    return (float(np.mean(known)) if known else None, float(np.std(known, ddof=1)) if len(known) > 1 else None)
 
 
 def main_key(record: Mapping[str, Any]) -> str:
@@ -111,8 +122,11 @@ def disturbed(upheavals: Mapping[str, int], iteration: int) -> str:
     upheavals : event -> step of the latest one.
     iteration : of the evaluation.
     """
-    recent = [(at, text) for event, (text, steps) in UPHEAVALS.items()
-              if (at := upheavals.get(event)) is not None and iteration - at <= steps]
+    recent = [
+        (at, text)
+        for event, (text, steps) in UPHEAVALS.items()
+        if (at := upheavals.get(event)) is not None and iteration - at <= steps
+    ]
     return max(recent, key=lambda item: item[0])[1] if recent else ""
 
 
@@ -127,16 +141,18 @@ def with_quality(psnr: float | None) -> str:
 def score_table(records: Sequence[Record]) -> Table | None:
     """A row for each evaluation; None without any."""
     evaluations = [record for record in records if record.get("event") == "eval"]
-    columns = [*COLUMNS, *(column for column in PERCEPTUAL if any(
-        record.get(column[0]) is not None for record in evaluations)), GAUSSIANS]
+    columns = [
+        *COLUMNS,
+        *(column for column in PERCEPTUAL if any(record.get(column[0]) is not None for record in evaluations)),
+        GAUSSIANS,
+    ]
     rows = [tuple(number(record, key, form) for key, _, form in columns) for record in evaluations]
-    note = ("Means over the held-out views; cc: after a quadratic fit of each render's colours to "
-            f"its photo. {EXPLAINED}")
+    note = (
+        f"Means over the held-out views; cc: after a quadratic fit of each render's colours to its photo. {EXPLAINED}"
+    )
     if len(columns) > len(COLUMNS) + 1:
-        note += (" FLIP and LPIPS, lower is better, are close to what people see; `clsplat eval` "
-                 "computes them.")
-    return Table("", tuple(title for _, title, _ in columns), rows, range(len(columns)),
-                 (note,)) if rows else None
+        note += " FLIP and LPIPS, lower is better, are close to what people see; `clsplat eval` computes them."
+    return Table("", tuple(title for _, title, _ in columns), rows, range(len(columns)), (note,)) if rows else None
 
 
 def number(record: Mapping[str, Any], key: str, form: str) -> str:

@@ -16,11 +16,12 @@ from clsplat.scene import Scene
 
 SHOWN = 5  # names in a sentence
 ROLES = {CONTROL: "which decided the place", CHECK: "which took no part"}
-NOTE = ("From the measured place to that in the scene. 90 % within: along the ground it is called "
-        "CE90, and up LE90.")
-RECORDED = (("points", "points of the sparse model", ",.0f"),
-            ("mean_track_length", "photos that show a point", ".1f"),
-            ("reprojection_error_pixels", "reprojection error, pixels", ".2f"))
+NOTE = "From the measured place to that in the scene. 90 % within: along the ground it is called CE90, and up LE90."
+RECORDED = (
+    ("points", "points of the sparse model", ",.0f"),
+    ("mean_track_length", "photos that show a point", ".1f"),
+    ("reprojection_error_pixels", "reprojection error, pixels", ".2f"),
+)
 # matplotlib's "viridis", at each quarter
 RAMP = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)])
 GREY, NO_RESIDUAL, RING = (150, 155, 160), "#0072b2", "#d55e00"
@@ -42,18 +43,19 @@ def _section(survey: Survey) -> str:
     missing = list(survey.record.get("not_registered", {}).items())
     unused = Table("", ("photo", "reason"), missing)
     return headed(
-        "Survey", *(warning(f"Warning: {text}") for text in warnings(survey)),
-        Table("", ("", ""), list(facts(survey))), survey_maps(survey),
-        *(f"<h3>{escape(table.title)}</h3>\n" + replace(table, title="").html()
-          for table in residual_tables(survey)),
-        folded("Photos that were not used", unused.html()) if missing else "")
+        "Survey",
+        *(warning(f"Warning: {text}") for text in warnings(survey)),
+        Table("", ("", ""), list(facts(survey))),
+        survey_maps(survey),
+        *(f"<h3>{escape(table.title)}</h3>\n" + replace(table, title="").html() for table in residual_tables(survey)),
+        folded("Photos that were not used", unused.html()) if missing else "",
+    )
 
 
 def warnings(survey: Survey) -> tuple[str, ...]:
     """Sentences that the reader must not miss: those of the georeference and of `clsplat sfm`."""
     known = survey.georeference
-    return tuple(dict.fromkeys((*(known.warnings if known else ()),
-                                *survey.record.get("warnings", ()))))
+    return tuple(dict.fromkeys((*(known.warnings if known else ()), *survey.record.get("warnings", ()))))
 
 
 def facts(survey: Survey) -> Iterator[tuple[str, str]]:
@@ -67,8 +69,10 @@ def facts(survey: Survey) -> Iterator[tuple[str, str]]:
         yield "georeference", f"{known.crs[:60]}, by the {known.source or 'files of the scene'}"
         yield "heights", vertical_reference(known)
         share = f"; the flight extends over {length(known.size)}" if known.size else ""
-        yield "residual", (f"{length(known.residual)} along the ground, RMS{share}"
-                           if known.residual else "not recorded")
+        yield (
+            "residual",
+            (f"{length(known.residual)} along the ground, RMS{share}" if known.residual else "not recorded"),
+        )
         if left_out := known.names(LEFT_OUT):
             rest = f" and {len(left_out) - SHOWN} more" if len(left_out) > SHOWN else ""
             yield "left out", f"{', '.join(left_out[:SHOWN])}{rest}, which contradict the others"
@@ -79,8 +83,13 @@ def facts(survey: Survey) -> Iterator[tuple[str, str]]:
         if overlap is not None:
             yield "area covered", f"{area(overlap.covered)}, by at least two photos"
     if overlap is not None:
-        yield "overlap", (f"{overlap.mean:.1f} photos look at a place, in the mean; fewer than "
-                          f"three look at {100 * overlap.thin:.0f} % of the area")
+        yield (
+            "overlap",
+            (
+                f"{overlap.mean:.1f} photos look at a place, in the mean; fewer than "
+                f"three look at {100 * overlap.thin:.0f} % of the area"
+            ),
+        )
     if priors := survey.record.get("position_priors"):
         yield "positions as priors", priors["text"]
     for key, title, form in RECORDED:
@@ -102,70 +111,92 @@ def survey_maps(survey: Survey) -> str:
     low, high = low - room, high + room
     residuals = survey.camera_residuals
     known = residuals[np.isfinite(residuals)]
-    maps = [_map("cameras, by their residual" if len(known) else "cameras", low, high,
-                 _points(survey, low, high) + _cameras(survey, low, high,
-                                                       max(known, default=1.0)), survey)
-            + (_ramp(f"{max(known):.2g} m from the GPS") if len(known) else "")]
+    maps = [
+        _map(
+            "cameras, by their residual" if len(known) else "cameras",
+            low,
+            high,
+            _points(survey, low, high) + _cameras(survey, low, high, max(known, default=1.0)),
+            survey,
+        )
+        + (_ramp(f"{max(known):.2g} m from the GPS") if len(known) else "")
+    ]
     if survey.overlap is not None:
         counts, (west, east, south, north) = survey.overlap.counts, survey.overlap.bounds
         pixels = np.dstack([_colours(counts / max(counts.max(), 1)), 255 * (counts >= 0)])
-        maps.append(_map("overlap", low, high, _image(pixels, (west, south), (east, north), low),
-                         survey) + _ramp(f"{counts.max()} photos that look at a place"))
+        maps.append(
+            _map("overlap", low, high, _image(pixels, (west, south), (east, north), low), survey)
+            + _ramp(f"{counts.max()} photos that look at a place")
+        )
     pair = " pair" if len(maps) > 1 else ""
-    return (f'<div class="maps{pair}" role=img aria-label="Map of the '
-            f'{len(survey.names)} cameras, and how many photos look at each place">'
-            + "".join(f"<div>{each}</div>" for each in maps) + "</div>\n")
+    return (
+        f'<div class="maps{pair}" role=img aria-label="Map of the '
+        f'{len(survey.names)} cameras, and how many photos look at each place">'
+        + "".join(f"<div>{each}</div>" for each in maps)
+        + "</div>\n"
+    )
 
 
-def _map(title: str, low: NDArray[np.float64], high: NDArray[np.float64], content: str,
-         survey: Survey) -> str:
+def _map(title: str, low: NDArray[np.float64], high: NDArray[np.float64], content: str, survey: Survey) -> str:
     """An SVG of the area between two corners, with its size; `content` is in map units from `low`,
     with y to the north."""
     width, height = high - low
-    size = (f"{length(width)} x {length(height)}, north is upwards" if survey.georeference
-            else f"{width:.3g} x {height:.3g} units of the scene")
-    return (f"<h4>{title}</h4>\n<p class=note>{size}</p>\n"
-            f'<svg viewBox="0 0 {width:.6g} {height:.6g}">'
-            f'<g transform="translate(0 {height:.6g}) scale(1 -1)">{content}</g></svg>\n')
+    size = (
+        f"{length(width)} x {length(height)}, north is upwards"
+        if survey.georeference
+        else f"{width:.3g} x {height:.3g} units of the scene"
+    )
+    return (
+        f"<h4>{title}</h4>\n<p class=note>{size}</p>\n"
+        f'<svg viewBox="0 0 {width:.6g} {height:.6g}">'
+        f'<g transform="translate(0 {height:.6g}) scale(1 -1)">{content}</g></svg>\n'
+    )
 
 
 def _points(survey: Survey, low: NDArray[np.float64], high: NDArray[np.float64]) -> str:
     """The points of the ground as an image."""
     cell = (high - low).max() / CELLS
     columns, rows = np.ceil((high - low) / cell).astype(int).tolist()
-    found, _, _ = np.histogram2d(survey.ground[:, 1] - low[1], survey.ground[:, 0] - low[0],
-                                 (rows, columns), ((0, rows * cell), (0, columns * cell)))
+    found, _, _ = np.histogram2d(
+        survey.ground[:, 1] - low[1],
+        survey.ground[:, 0] - low[0],
+        (rows, columns),
+        ((0, rows * cell), (0, columns * cell)),
+    )
     pixels = np.empty((rows, columns, 4))
     pixels[:] = (*GREY, 0)
     pixels[..., 3] = 255 * (found > 0)
     return _image(pixels, (0, 0), (columns * cell, rows * cell), np.zeros(2))
 
 
-def _cameras(survey: Survey, low: NDArray[np.float64], high: NDArray[np.float64], most: float
-             ) -> str:
+def _cameras(survey: Survey, low: NDArray[np.float64], high: NDArray[np.float64], most: float) -> str:
     """A dot at each camera, with its name and residual, in a ring where GPS was left out."""
-    size = float(np.clip(30 / len(survey.names)**0.5, 1.2, 5) * (high - low).max() / WIDTH)
+    size = float(np.clip(30 / len(survey.names) ** 0.5, 1.2, 5) * (high - low).max() / WIDTH)
     left_out = {each.name for each in survey.residuals if each.role == LEFT_OUT}
     shapes = []
     for name, (x, y), residual in zip(survey.names, survey.cameras - low, survey.camera_residuals):
         known = np.isfinite(residual)
-        colour = "rgb({:.0f} {:.0f} {:.0f})".format(*_colours(np.array(residual / most))
-                                                    ) if known else NO_RESIDUAL
+        colour = "rgb({:.0f} {:.0f} {:.0f})".format(*_colours(np.array(residual / most))) if known else NO_RESIDUAL
         text = escape(f"{name}, {residual:.2g} m from its GPS" if known else name)
         ring = f' stroke="{RING}" stroke-width="{size:.4g}"' if name in left_out else ""
-        shapes.append(f'<circle cx="{x:.6g}" cy="{y:.6g}" r="{size:.4g}" fill="{colour}"{ring}>'
-                      f"<title>{text}{', left out' if ring else ''}</title></circle>")
+        shapes.append(
+            f'<circle cx="{x:.6g}" cy="{y:.6g}" r="{size:.4g}" fill="{colour}"{ring}>'
+            f"<title>{text}{', left out' if ring else ''}</title></circle>"
+        )
     return "".join(shapes)
 
 
-def _image(pixels: NDArray[np.floating], low: tuple[float, float], high: tuple[float, float],
-           origin: NDArray[np.float64]) -> str:
+def _image(
+    pixels: NDArray[np.floating], low: tuple[float, float], high: tuple[float, float], origin: NDArray[np.float64]
+) -> str:
     """An image [H, W, 4] from south to north between two corners."""
     data = encode_image(pixels.astype(np.uint8), "png", 0, "map")
-    return (f'<image x="{low[0] - origin[0]:.6g}" y="{low[1] - origin[1]:.6g}" '
-            f'width="{high[0] - low[0]:.6g}" height="{high[1] - low[1]:.6g}" '
-            'preserveAspectRatio="none" style="image-rendering: pixelated" '
-            f'href="data:image/png;base64,{base64.b64encode(data).decode()}"/>')
+    return (
+        f'<image x="{low[0] - origin[0]:.6g}" y="{low[1] - origin[1]:.6g}" '
+        f'width="{high[0] - low[0]:.6g}" height="{high[1] - low[1]:.6g}" '
+        'preserveAspectRatio="none" style="image-rendering: pixelated" '
+        f'href="data:image/png;base64,{base64.b64encode(data).decode()}"/>'
+    )
 
 
 def _colours(shares: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -176,8 +207,7 @@ def _colours(shares: NDArray[np.floating]) -> NDArray[np.float64]:
 
 def _ramp(most: str) -> str:
     colours = ", ".join(f"rgb({red} {green} {blue})" for red, green, blue in RAMP)
-    return (f'<p class=scale><b>0</b> <i style="background: linear-gradient(to right, {colours})">'
-            f"</i>{most}</p>\n")
+    return f'<p class=scale><b>0</b> <i style="background: linear-gradient(to right, {colours})"></i>{most}</p>\n'
 
 
 def residual_tables(survey: Survey) -> list[Table]:
@@ -185,20 +215,34 @@ def residual_tables(survey: Survey) -> list[Table]:
     tables = list[Table]()
     for role, meaning in ROLES.items():
         group = [each for each in survey.residuals if each.role == role]
-        rows = [(axis, *(_metres(value) for value in (of.mean, of.sigma, of.rms, of.within_90)))
-                for axis, of in spreads(group).items()]
+        rows = [
+            (axis, *(_metres(value) for value in (of.mean, of.sigma, of.rms, of.within_90)))
+            for axis, of in spreads(group).items()
+        ]
         if rows:
             kind = "GPS of photos" if group[0].pixels is None else "ground control points"
-            tables.append(Table(
-                f"Residuals: {kind}, {meaning} ({len(group)})",
-                ("", "mean, m", "sigma, m", "RMS, m", "90 % within, m"), rows, range(1, 5),
-                () if tables else (NOTE,)))
+            tables.append(
+                Table(
+                    f"Residuals: {kind}, {meaning} ({len(group)})",
+                    ("", "mean, m", "sigma, m", "RMS, m", "90 % within, m"),
+                    rows,
+                    range(1, 5),
+                    () if tables else (NOTE,),
+                )
+            )
     points = [each for each in survey.residuals if each.pixels is not None]
     if points:
-        tables.append(Table(
-            "Ground control points", ("name", "role", "east, m", "north, m", "up, m", "pixels"),
-            [(each.name, each.role, *map(_metres, (each.east, each.north, each.up)),
-              f"{each.pixels:.1f}") for each in points], range(2, 6)))
+        tables.append(
+            Table(
+                "Ground control points",
+                ("name", "role", "east, m", "north, m", "up, m", "pixels"),
+                [
+                    (each.name, each.role, *map(_metres, (each.east, each.north, each.up)), f"{each.pixels:.1f}")
+                    for each in points
+                ],
+                range(2, 6),
+            )
+        )
     return tables
 
 

@@ -22,7 +22,7 @@ class Constant(Schedule):
             degree=self.degree(iteration),
             gathers=growing,
             grows=growing and before > o.densify_from and before % o.densify_every == 0,
-            resets_opacity=growing and o.reset_every > 0 and before > 0
-            and before % o.reset_every == 0,
+            resets_opacity=growing and o.reset_every > 0 and before > 0 and before % o.reset_every == 0,
             prunes_large=0 < o.reset_every < before,
-            decay=self.decay(iteration))
+            decay=self.decay(iteration),
+        )

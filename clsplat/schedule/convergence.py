@@ -36,10 +36,8 @@ def judge(test: str, samples: Samples, rate: float, inverse_distance: float) -> 
     samples = [sample for sample in samples if math.isfinite(sample[1])]
     if test == "release":
         return _release(samples)
-    count, scale = ((1, inverse_distance) if test == "paper" else
-                    (MEDIAN_OF, samples[-1][1] if samples else 0.0))
-    slopes = [(after - before) / (end - begin)
-              for (begin, before), (end, after) in zip(samples, samples[1:])]
+    count, scale = (1, inverse_distance) if test == "paper" else (MEDIAN_OF, samples[-1][1] if samples else 0.0)
+    slopes = [(after - before) / (end - begin) for (begin, before), (end, after) in zip(samples, samples[1:])]
     slope = median(slopes[-count:]) if len(slopes) >= count else None
     return Verdict(slope, rate * scale, slope is not None and slope < rate * scale)
 
@@ -49,14 +47,12 @@ def _release(samples: Samples) -> Verdict:
         return Verdict(None, 0.0, False)
     values = [value for _, value in samples]
     spacing = (samples[-1][0] - samples[0][0]) / (len(samples) - 1)
-    fits = [_end_of_parabola(values[end - WINDOW:end])
-            for end in range(WINDOW, len(values) + 1)]
+    fits = [_end_of_parabola(values[end - WINDOW : end]) for end in range(WINDOW, len(values) + 1)]
     slope, curvature = fits[-1]
     steepest = max(s for s, _ in fits)
     # with a constant frequency, rounding would decide
     flat = max(values[-WINDOW:]) - min(values[-WINDOW:]) <= 1e-9 * abs(values[-1])
-    converged = flat or (0 <= slope < SLOPE_SHARE * steepest
-                         and curvature <= CURVATURE_SHARE * steepest)
+    converged = flat or (0 <= slope < SLOPE_SHARE * steepest and curvature <= CURVATURE_SHARE * steepest)
     return Verdict(slope / spacing, SLOPE_SHARE * steepest / spacing, converged)
 
 

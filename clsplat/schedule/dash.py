@@ -84,8 +84,7 @@ class Dash(Constant):
             self.factor = min(self.factor, self._factor(steps))
         if self.factor < 2 and self.decay_began is None:
             self.decay_began = steps
-        return dataclasses.replace(plan, level=float(self.factor), prunes_large=False,
-                                   decay=self.decay(iteration))
+        return dataclasses.replace(plan, level=float(self.factor), prunes_large=False, decay=self.decay(iteration))
 
     def decay(self, iteration: int) -> float:
         """See `Schedule.decay`: only from where the factor falls below 2."""
@@ -97,8 +96,7 @@ class Dash(Constant):
     def target(self, iteration: int, count: int, above: int) -> int:
         """See `Schedule.target`; each call raises the final number."""
         o, steps, initial = self.options, iteration - 1, self.facts.count
-        self.final_growth = max(
-            self.final_growth, int(MOMENTUM * self.final_growth + min(MOST_ADDED, above)))
+        self.final_growth = max(self.final_growth, int(MOMENTUM * self.final_growth + min(MOST_ADDED, above)))
         growth = self.final_growth
         if o.max_gaussians:
             growth = min(growth, o.max_gaussians - initial)

@@ -28,15 +28,21 @@ CAP = 1_000_000  # gaussians up to which the model grows, unless --max-gaussians
 class McmcOptions:
     """Options of the `mcmc` schedule."""
 
-    mcmc_growth: float = option(0.05, "Growth", "growth of the model in a round, as a share of its "
-                                "gaussians", minimum=0.0, most=10.0, part="mcmc", flag=False)
+    mcmc_growth: float = option(
+        0.05,
+        "Growth",
+        "growth of the model in a round, as a share of its gaussians",
+        minimum=0.0,
+        most=10.0,
+        part="mcmc",
+        flag=False,
+    )
 
 
 class Mcmc(Schedule):
     """Full resolution throughout; rounds of relocation and growth at fixed intervals."""
 
-    defaults = {"exposure": "off", "opacity_rate": 0.05, "average": 0.0, "position_noise": 5e5,
-                "scale_weight": 0.01}
+    defaults = {"exposure": "off", "opacity_rate": 0.05, "average": 0.0, "position_noise": 5e5, "scale_weight": 0.01}
     parts = frozenset({"mcmc"})
     Options = McmcOptions
     fills_target = True
@@ -54,9 +60,14 @@ class Mcmc(Schedule):
         """See `Schedule.plan`; as in `constant`, rounds follow the step after a round number."""
         o, before = self.options, iteration - 1
         return Plan(
-            level=1.0, degree=self.degree(iteration), gathers=False,
+            level=1.0,
+            degree=self.degree(iteration),
+            gathers=False,
             grows=o.densify_from < before < o.densify_until and before % o.densify_every == 0,
-            resets_opacity=False, prunes_large=False, decay=self.decay(iteration))
+            resets_opacity=False,
+            prunes_large=False,
+            decay=self.decay(iteration),
+        )
 
     def target(self, iteration: int, count: int, above: int) -> int:
         cap = self.options.max_gaussians or CAP

@@ -15,8 +15,12 @@ if TYPE_CHECKING:  # --help must not wait for numpy
     from clsplat.densify.round import Round
     from clsplat.options import ScheduledOptions
 
-LIMITS = (("level", 1, 1e6), ("degree", 0, 3), ("decay", -1, math.inf),  # of a Plan
-          ("regularises", 0, 1e6))
+LIMITS = (
+    ("level", 1, 1e6),
+    ("degree", 0, 3),
+    ("decay", -1, math.inf),  # of a Plan
+    ("regularises", 0, 1e6),
+)
 STEPS_A_ROUND = 100  # between rounds of growth, by default
 # what schedules as published, also sig's, leave out
 AS_PUBLISHED = {"exposure": "off", "average": 0.0, "opacity_weight": 0.0}
@@ -80,8 +84,11 @@ class SceneFacts:
     def differing(self) -> str:
         """How much the photos disagree, as a clause."""
         differ = 100 * self.disagreement()
-        return (f"as photos of a place differ by {differ:.1f} % of full brightness" if differ >= 0
-                else "as no sparse point shows how much photos of a place differ")
+        return (
+            f"as photos of a place differ by {differ:.1f} % of full brightness"
+            if differ >= 0
+            else "as no sparse point shows how much photos of a place differ"
+        )
 
 
 class Schedule:
@@ -144,8 +151,7 @@ class Schedule:
         return STEPS_A_ROUND
 
     @classmethod
-    def planned_levels(cls, options: ScheduledOptions, facts: SceneFacts
-                       ) -> tuple[tuple[float, ...] | None, str]:
+    def planned_levels(cls, options: ScheduledOptions, facts: SceneFacts) -> tuple[tuple[float, ...] | None, str]:
         """(The levels that will come, or None if they are known only in training; a sentence for
         the user)."""
         return cls.levels, f"{listed(cls.levels)}: {sizes_text(cls.levels, facts.size)}"
@@ -157,15 +163,13 @@ class Schedule:
         return None, "none: the schedule has no limit"
 
     @classmethod
-    def most_steps(cls, options: ScheduledOptions, facts: SceneFacts, photos: int
-                   ) -> tuple[int, str]:
+    def most_steps(cls, options: ScheduledOptions, facts: SceneFacts, photos: int) -> tuple[int, str]:
         """(Number, clause with the reason): the most steps that are worth taking, whatever the
         options ask for; 0: any number."""
         return 0, ""
 
     @classmethod
-    def options_of_block(cls, options: ScheduledOptions, size: tuple[int, int], facts: SceneFacts
-                         ) -> dict[str, Any]:
+    def options_of_block(cls, options: ScheduledOptions, size: tuple[int, int], facts: SceneFacts) -> dict[str, Any]:
         """{option: value} that differ from `options` in a block of a city, which starts from a
         coarse run and takes as many steps as these; `facts` are about the whole, and `size` is
         (width, height) of the block's smallest training image, pixels."""

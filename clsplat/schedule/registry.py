@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 GROUP = "clsplat.schedules"  # of entry points: NAME = MODULE:SUBCLASS_OF_SCHEDULE
-OURS = {name: f"clsplat.schedule.{name}:{name.title()}"
-        for name in ("sig", "constant", "dash", "taming", "mcmc")}
+OURS = {name: f"clsplat.schedule.{name}:{name.title()}" for name in ("sig", "constant", "dash", "taming", "mcmc")}
 REGISTERED = Group(GROUP, OURS)
 
 
@@ -32,11 +31,11 @@ def offered(schedule: type[Schedule]) -> str:
     taken = OURS.get(name) or (known.value if known and known.dist else None)
     if taken is None:
         from importlib.metadata import EntryPoint
+
         others()[name] = EntryPoint(name, place, GROUP)
         schedule_of.cache_clear()
     elif taken != place:
-        raise InputError(f"{name}: is the name of another schedule, {taken}; give the class "
-                         "another name")
+        raise InputError(f"{name}: is the name of another schedule, {taken}; give the class another name")
     return name
 
 

@@ -57,8 +57,7 @@ class Sig(Schedule):
     """Levels from coarse to fine; `observe` decides when the next begins."""
 
     parts = frozenset({"sig", "levels", "spheres", "reprojection"})
-    keeps = ("index", "began", "rounds_taken", "carried", "grown_at", "full", "samples", "hits",
-             "latest", "has_pruned")
+    keeps = ("index", "began", "rounds_taken", "carried", "grown_at", "full", "samples", "hits", "latest", "has_pruned")
     begins_dense = points_enter = True
     Options = SigOptions
     prunes_unneeded = False  # in the round of growth that follows the step
@@ -74,19 +73,19 @@ class Sig(Schedule):
         return 0
 
     @classmethod
-    def planned_levels(cls, options: "ScheduledOptions", facts: SceneFacts
-                       ) -> tuple[tuple[float, ...], str]:
+    def planned_levels(cls, options: "ScheduledOptions", facts: SceneFacts) -> tuple[tuple[float, ...], str]:
         levels = levels_of(options, facts)
         sizes = sizes_text(levels, facts.size)
         if options.levels:
             return levels, f"{listed(levels)}: requested; {sizes}"
         dense = "dense points enter with them; " if facts.dense else ""
-        return levels, (f"{listed(levels)}: {sizes}; {dense}sides below {SMALLEST_SIDE}, and "
-                        f"levels shorter than {least_steps(facts)} steps, are left out")
+        return levels, (
+            f"{listed(levels)}: {sizes}; {dense}sides below {SMALLEST_SIDE}, and "
+            f"levels shorter than {least_steps(facts)} steps, are left out"
+        )
 
     @classmethod
-    def planned_limit(cls, options: "ScheduledOptions", facts: SceneFacts
-                      ) -> tuple[int | None, str]:
+    def planned_limit(cls, options: "ScheduledOptions", facts: SceneFacts) -> tuple[int | None, str]:
         each = pixels_per_gaussian(options, facts)
         if not each:
             return None, "none: requested"
@@ -96,27 +95,26 @@ class Sig(Schedule):
         return limit, f"{limit:,}: one for each {each:.1f} training pixels, {facts.differing()}"
 
     @classmethod
-    def most_steps(cls, options: "ScheduledOptions", facts: SceneFacts, photos: int
-                   ) -> tuple[int, str]:
+    def most_steps(cls, options: "ScheduledOptions", facts: SceneFacts, photos: int) -> tuple[int, str]:
         """Held-out photos get worse after these, as gaussians then learn what the photos disagree
         about. The mean over n photos of a place keeps 1 / sqrt(n) of their disagreement."""
         visits: str | float = options.visits
         if isinstance(visits, float):
-            return (max(1, round(visits * photos)) if visits else 0,
-                    f"for {photos:,} training photos, --visits {visits:g}")
+            return (
+                max(1, round(visits * photos)) if visits else 0,
+                f"for {photos:,} training photos, --visits {visits:g}",
+            )
         if not is_auto(options.iterations):  # -n means what it says
             return 0, ""
         shown_in = USUAL_PHOTOS if math.isnan(facts.shown_in) else facts.shown_in
         left = facts.disagreement() * math.sqrt(USUAL_PHOTOS / shown_in)
         share = (AGREEING / left) ** POWER if left > AGREEING else 1.0  # 1 for a nan
-        most = max(FEWEST, FEWEST_A_PHOTO * photos,
-                   round(share * max(ENOUGH, MOST_A_PHOTO * photos)))
+        most = max(FEWEST, FEWEST_A_PHOTO * photos, round(share * max(ENOUGH, MOST_A_PHOTO * photos)))
         shown = f", and {facts.shown_in:.1f} show one" if facts.shown_in > 0 else ""
         return most, f"for {photos:,} training photos, {facts.differing()}{shown}"
 
     @classmethod
-    def options_of_block(cls, options: "ScheduledOptions", size: tuple[int, int], facts: SceneFacts
-                         ) -> dict[str, Any]:
+    def options_of_block(cls, options: "ScheduledOptions", size: tuple[int, int], facts: SceneFacts) -> dict[str, Any]:
         """See `Schedule.options_of_block`: the coarse run, at half size, had the coarser levels,
         and has pruned what it did not need. All blocks have the same pixels for a gaussian."""
         each = {"pixels_per_gaussian": pixels_per_gaussian(options, facts)}
@@ -186,16 +184,18 @@ class Sig(Schedule):
         last = max(self.grown_at - 1, self.began + settle)
         grows = in_rounds and before >= last + self.every
         growing = in_rounds and not self.full
-        self.prunes_unneeded = (self.last and not in_rounds and not self.has_pruned
-                                and self.least_shown > 0)
+        self.prunes_unneeded = self.last and not in_rounds and not self.has_pruned and self.least_shown > 0
         progress = super().decay(iteration)
         return Plan(
-            level=self.levels[self.index], degree=self.degree(iteration), gathers=growing,
-            grows=grows or self.prunes_unneeded, resets_opacity=self._resets(before, growing),
+            level=self.levels[self.index],
+            degree=self.degree(iteration),
+            gathers=growing,
+            grows=grows or self.prunes_unneeded,
+            resets_opacity=self._resets(before, growing),
             prunes_large=o.prune_size > 0,
             decay=self.decay(iteration) if self.guarded else progress,
-            regularises=o.reproject_weight * REPROJECT_DECAY**progress
-            if growing and o.reproject == "on" else 0.0)
+            regularises=o.reproject_weight * REPROJECT_DECAY**progress if growing and o.reproject == "on" else 0.0,
+        )
 
     def _rounds_left(self, since: int) -> bool:
         """Whether this level, so many steps old, still has rounds of growth to come."""
@@ -247,20 +247,23 @@ class Sig(Schedule):
         value = frequency[f"{o.frequency}_mean"]
         self.samples.append((iteration, value))
         since = iteration - self.began
-        verdict = judge(o.convergence, self.samples, o.convergence_rate,
-                        self.facts.inverse_distance)
+        verdict = judge(o.convergence, self.samples, o.convergence_rate, self.facts.inverse_distance)
         disturbed = self.guarded and not self._settled(iteration)
         self.hits = 0 if disturbed or not verdict.converged else self.hits + 1
-        self.latest = {"frequency": value, "slope": verdict.slope,
-                       "threshold": verdict.threshold, "hits": self.hits}
+        self.latest = {"frequency": value, "slope": verdict.slope, "threshold": verdict.threshold, "hits": self.hits}
         if self.hits >= o.convergence_hits:
             reason = "converged"
         elif o.level_share != 1 and since + self.observe_every > self.allotment:
             reason = "deadline"
         else:
             return None
-        decision = {"level": self.levels[self.index + 1], "reason": reason, "since": since,
-                    "rounds": self.rounds_taken, **self.latest}
+        decision = {
+            "level": self.levels[self.index + 1],
+            "reason": reason,
+            "since": since,
+            "rounds": self.rounds_taken,
+            **self.latest,
+        }
         self._advance(iteration)
         return decision
 
@@ -270,8 +273,10 @@ class Sig(Schedule):
 
     def ahead(self, iteration: int) -> list[tuple[float, float]]:
         """See `Schedule.ahead`: coarser levels until their deadline, the rest at the finest."""
-        coarser = [(level, share * self.options.iterations) for level, share
-                   in zip(self.levels[self.index:], self.shares[self.index:])]
+        coarser = [
+            (level, share * self.options.iterations)
+            for level, share in zip(self.levels[self.index :], self.shares[self.index :])
+        ]
         if coarser:
             coarser[0] = coarser[0][0], max(0, self.allotment - (iteration - self.began))
         rest = self.options.iterations - iteration - sum(steps for _, steps in coarser)
@@ -281,8 +286,7 @@ class Sig(Schedule):
         """Whether this level's growth is over, with enough samples after it for a test."""
         since = iteration - self.began
         # rounds that only prune disturb little
-        return self.full or (not self._rounds_left(since)
-                             and iteration >= self.grown_at + 2 * self.observe_every)
+        return self.full or (not self._rounds_left(since) and iteration >= self.grown_at + 2 * self.observe_every)
 
     def _advance(self, iteration: int) -> None:
         if self.options.convergence == "release":  # where unused rounds are kept and add up
@@ -327,8 +331,7 @@ def most_gaussians(options: "ScheduledOptions", facts: SceneFacts, level: float)
 
 def levels_of(options: "ScheduledOptions", facts: SceneFacts) -> tuple[float, ...]:
     """The levels of a training of the whole scene."""
-    return chosen_levels(options, facts.size, DENSE_LEVELS if facts.dense else LEVELS,
-                         steps=least_steps(facts))
+    return chosen_levels(options, facts.size, DENSE_LEVELS if facts.dense else LEVELS, steps=least_steps(facts))
 
 
 def least_steps(facts: SceneFacts) -> int:
@@ -336,9 +339,13 @@ def least_steps(facts: SceneFacts) -> int:
     return LEAST_ENTERING if facts.dense else LEAST_STEPS
 
 
-def chosen_levels(options: "ScheduledOptions", size: tuple[int, int],
-                  candidates: tuple[float, ...] = LEVELS, least: int = SMALLEST_SIDE,
-                  steps: int = LEAST_STEPS) -> tuple[float, ...]:
+def chosen_levels(
+    options: "ScheduledOptions",
+    size: tuple[int, int],
+    candidates: tuple[float, ...] = LEVELS,
+    least: int = SMALLEST_SIDE,
+    steps: int = LEAST_STEPS,
+) -> tuple[float, ...]:
     """The down-sampling factors of a training, for a smallest image of `size` (width, height),
     pixels.
 
@@ -353,10 +360,10 @@ def chosen_levels(options: "ScheduledOptions", size: tuple[int, int],
                 f"--levels: level {levels[0]:g} would train on images of "
                 f"{int(size[0] / levels[0])} x {int(size[1] / levels[0])} pixels, less than a tile "
                 f"of {TILE}; give smaller --levels, or larger photos by a smaller --downscale or a "
-                "larger --max-resolution")
+                "larger --max-resolution"
+            )
         return levels
     levels = tuple(level for level in candidates if level == 1 or side / level >= least)
-    while (shares := level_shares(levels, options.level_share)) and (
-            shares[0] * options.iterations < steps):
+    while (shares := level_shares(levels, options.level_share)) and (shares[0] * options.iterations < steps):
         levels = levels[1:]
     return levels

@@ -40,20 +40,17 @@ def simulate(schedule: Schedule, detail: Callable[[float], float] | None = None)
 
     `detail` is level -> `estimate.forecast.photo_detail` of it; None: photos are sharp.
     """
-    return [Segment(len(list(steps)), *kind)
-            for kind, steps in groupby(_steps(schedule, detail))]
+    return [Segment(len(list(steps)), *kind) for kind, steps in groupby(_steps(schedule, detail))]
 
 
-def _steps(schedule: Schedule, detail: Callable[[float], float] | None
-           ) -> Iterator[tuple[float, int, bool]]:
+def _steps(schedule: Schedule, detail: Callable[[float], float] | None) -> Iterator[tuple[float, int, bool]]:
     """(level, gaussians, whether it regularises) of each step."""
     flat = {f"{variant}_mean": 1.0 for variant in VARIANTS}
     count = schedule.facts.count
     pixels = schedule.facts.pixels / max(1.0, schedule.facts.shown_in / USUAL_PHOTOS)  # nan: 1
     for iteration in range(1, schedule.options.iterations + 1):
         plan = schedule.plan(iteration)
-        entered = (max(min(count, FEWEST_ENTERING), int(count / plan.level**2))
-                   if schedule.facts.dense else count)
+        entered = max(min(count, FEWEST_ENTERING), int(count / plan.level**2)) if schedule.facts.dense else count
         yield plan.level, entered, plan.regularises > 0
         if plan.grows:
             share = 1.0 if detail is None else min(1.0, (detail(plan.level) / SHARP) ** POWER)

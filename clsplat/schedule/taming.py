@@ -19,8 +19,14 @@ ROUNDS = 60  # of growth in a run: one every 500 of 30,000 steps
 class TamingOptions:
     """Options of the `taming` schedule."""
 
-    taming_budget: float = option(15.0, "Growth", "number of gaussians at the end, as a multiple "
-                                  "of those at the start", minimum=1.0, part="taming", flag=False)
+    taming_budget: float = option(
+        15.0,
+        "Growth",
+        "number of gaussians at the end, as a multiple of those at the start",
+        minimum=1.0,
+        part="taming",
+        flag=False,
+    )
 
 
 class Taming(Constant):

@@ -42,9 +42,12 @@ def image_name(index: int) -> str:
 def partners(path: Path) -> Counter[int]:
     """With how many photos each photo, by its id, shares features that two views can have."""
     with pycolmap.Database.open(path) as database:
-        return Counter(number for pair, inliers in zip(
-            *database.read_two_view_geometry_num_inliers()) if inliers
-            for number in pycolmap.pair_id_to_image_pair(pair))
+        return Counter(
+            number
+            for pair, inliers in zip(*database.read_two_view_geometry_num_inliers())
+            if inliers
+            for number in pycolmap.pair_id_to_image_pair(pair)
+        )
 
 
 def create_database(path: Path, cameras: Sequence[SourceCamera]) -> None:
@@ -64,8 +67,7 @@ def create_database(path: Path, cameras: Sequence[SourceCamera]) -> None:
 
 def camera_of(number: int, source: SourceCamera) -> pycolmap.Camera:
     """The camera of the database with this id, as far as it is known."""
-    camera = pycolmap.Camera.create_from_model_name(
-        number, source.model, source.focal, source.width, source.height)
+    camera = pycolmap.Camera.create_from_model_name(number, source.model, source.focal, source.width, source.height)
     camera.has_prior_focal_length = source.focal_known
     if source.calibration is not None:
         camera.params = list(source.calibration)
@@ -74,12 +76,12 @@ def camera_of(number: int, source: SourceCamera) -> pycolmap.Camera:
 
 def threads() -> int:
     """How many threads work at once: one a processor of this process."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (
-        os.cpu_count() or 1)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
-def extract_features(path: Path, photos: Sequence[SourcePhoto], device: Device, most: int,
-                     progress: Progress) -> dict[str, str]:
+def extract_features(
+    path: Path, photos: Sequence[SourcePhoto], device: Device, most: int, progress: Progress
+) -> dict[str, str]:
     """Write the features of photos into a database, except those that it has already.
 
     Parameters
@@ -92,10 +94,8 @@ def extract_features(path: Path, photos: Sequence[SourcePhoto], device: Device, 
     """
     failures, sift = {}, Sift(device, most)
     with pycolmap.Database.open(path) as database:
-        missing = [index for index in range(len(photos))
-                   if not database.exists_descriptors(image_id(index))]
-        decoded = called_ahead(_decoded, ((photos[index],) for index in missing), threads(),
-                               threads() + 1)
+        missing = [index for index in range(len(photos)) if not database.exists_descriptors(image_id(index))]
+        decoded = called_ahead(_decoded, ((photos[index],) for index in missing), threads(), threads() + 1)
         for done, (index, found) in enumerate(zip(missing, decoded), len(photos) - len(missing)):
             progress.count("features of photo", done + 1, len(photos))
             if isinstance(found, str):
@@ -122,17 +122,16 @@ def _decoded(photo: SourcePhoto) -> tuple[NDArray[np.uint8], NDArray[np.bool_] |
     are none."""
     data, size = photo.metadata, _working_size(photo)
     try:
-        pixels = read_image(photo.path, size if size[0] < data.width else None,
-                            levels=photo.levels)
-        mask = None if photo.mask is None else read_mask(photo.mask, photo.mask,
-                                                         (data.width, data.height))
+        pixels = read_image(photo.path, size if size[0] < data.width else None, levels=photo.levels)
+        mask = None if photo.mask is None else read_mask(photo.mask, photo.mask, (data.width, data.height))
     except InputError as error:
         return str(error)
     return pixels, mask
 
 
-def _features(sift: Sift, photo: SourcePhoto, pixels: NDArray[np.uint8],
-              mask: NDArray[np.bool_] | None) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def _features(
+    sift: Sift, photo: SourcePhoto, pixels: NDArray[np.uint8], mask: NDArray[np.bool_] | None
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """float32[N, 4], x, y, scale and orientation, in pixels of the photo, and uint8[N, 128]."""
     size = _working_size(photo)
     keypoints, descriptors = sift.features(pixels, *size)

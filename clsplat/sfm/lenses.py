@@ -17,9 +17,12 @@ CURE = "; add photos from other heights and in other directions, or give another
 def lens_doubts(model: pycolmap.Reconstruction, cameras: Sequence[SourceCamera]) -> list[str]:
     """A sentence for each value of a lens that cannot be true; `cameras` as they were known before,
     by whose order the model numbers its own."""
-    return [f"camera {number} ({len(source.photos)} photos of {source.width}x{source.height}): "
-            f"{doubt}{CURE}" for number, source in enumerate(cameras, 1)
-            if number in model.cameras for doubt in _doubts(model.cameras[number], source)]
+    return [
+        f"camera {number} ({len(source.photos)} photos of {source.width}x{source.height}): {doubt}{CURE}"
+        for number, source in enumerate(cameras, 1)
+        if number in model.cameras
+        for doubt in _doubts(model.cameras[number], source)
+    ]
 
 
 def _doubts(camera: pycolmap.Camera, source: SourceCamera) -> list[str]:
@@ -28,8 +31,10 @@ def _doubts(camera: pycolmap.Camera, source: SourceCamera) -> list[str]:
     centre = np.array([camera.principal_point_x, camera.principal_point_y])
     share = focals.mean() / source.focal - 1
     if source.focal_known and abs(share) > MOST_FOCAL:
-        found.append(f"the focal length of {focals.mean():.0f} pixels is {100 * share:+.0f} % from "
-                     f"the {source.focal:.0f} of the photos' metadata")
+        found.append(
+            f"the focal length of {focals.mean():.0f} pixels is {100 * share:+.0f} % from "
+            f"the {source.focal:.0f} of the photos' metadata"
+        )
     away = np.linalg.norm(centre - (source.calibration[2:4] if source.calibration else size / 2))
     if away > MOST_CENTRE * size.max():
         found.append(f"the principal point is {away:.0f} pixels from where it is expected")

@@ -35,8 +35,7 @@ MOST_STEPS, LEAST_GAIN = 20, 1e-5  # of an adjustment of all
 SEED = 0
 
 
-def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, progress: Progress
-               ) -> Any:
+def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, progress: Progress) -> Any:
     """A pycolmap.Reconstruction of so many photos, InputError if none could be placed.
 
     Parameters
@@ -51,14 +50,14 @@ def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, pro
     placed = _kept(work / "global", lambda: _placed(database, cameras, fixed, progress))
     if placed is not None:
         progress.phase("triangulation")
-        models.append(_kept(work / "triangulated", lambda: _triangulated(
-            placed, database, work / "triangulation")))
+        models.append(_kept(work / "triangulated", lambda: _triangulated(placed, database, work / "triangulation")))
         progress.phase("bundle adjustment")
         _adjust(models[0], fixed)
     # photos that match no other one cannot be placed in any way
-    if matched and not any(model.num_reg_images() == matched
-                           and model.compute_mean_reprojection_error() <= LARGEST_ERROR
-                           for model in models):
+    if matched and not any(
+        model.num_reg_images() == matched and model.compute_mean_reprojection_error() <= LARGEST_ERROR
+        for model in models
+    ):
         registered = itertools.count(3)  # the first call follows the first pair and one more
 
         def show() -> None:  # more often than there are photos if a second attempt follows
@@ -67,9 +66,11 @@ def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, pro
         progress.phase("incremental mapping")
         models += _incremental(database, work / "incremental", fixed, show)
     if not models:
-        raise InputError(f"{work.parent}: no photos could be placed, since too few of their "
-                         "features match; photos must be sharp, overlap by more than half, and be "
-                         "taken from different places")
+        raise InputError(
+            f"{work.parent}: no photos could be placed, since too few of their "
+            "features match; photos must be sharp, overlap by more than half, and be "
+            "taken from different places"
+        )
     return max(models, key=lambda model: (model.num_reg_images(), model.compute_num_observations()))
 
 
@@ -91,8 +92,7 @@ def _kept(folder: Path, make: Callable[[], Any]) -> Any:
     return model
 
 
-def _placed(database: Path, cameras: Sequence[SourceCamera], fixed: bool, progress: Progress
-            ) -> Any:
+def _placed(database: Path, cameras: Sequence[SourceCamera], fixed: bool, progress: Progress) -> Any:
     """The best reconstruction of global mapping, or None."""
     attempts = ATTEMPTS if sum(len(source.photos) for source in cameras) <= FEW_PHOTOS else 1
     models = _global(database, fixed, attempts, progress)
@@ -101,8 +101,7 @@ def _placed(database: Path, cameras: Sequence[SourceCamera], fixed: bool, progre
         models = _global(database, fixed, attempts, progress)
     if not models:
         return None
-    best = max(models, key=lambda model: (model.num_reg_images(),
-                                          -model.compute_mean_reprojection_error()))
+    best = max(models, key=lambda model: (model.num_reg_images(), -model.compute_mean_reprojection_error()))
     keeps = fixed or any(source.is_chosen for source in cameras)
     return best if keeps else _without_distortion(best, database, progress)
 
@@ -117,8 +116,7 @@ def _without_distortion(model: Any, database: Path, progress: Progress) -> Any:
         has_two = len(camera.focal_length_idxs()) == 2
         kept = [*camera.focal_length_idxs(), *camera.principal_point_idxs()]
         values = camera.params[kept]
-        camera.model = (pycolmap.CameraModelId.PINHOLE if has_two
-                        else pycolmap.CameraModelId.SIMPLE_PINHOLE)
+        camera.model = pycolmap.CameraModelId.PINHOLE if has_two else pycolmap.CameraModelId.SIMPLE_PINHOLE
         camera.params = values
     _adjust(straight, False)
     errors = [each.compute_mean_reprojection_error() for each in (model, straight)]
@@ -133,8 +131,9 @@ def _without_distortion(model: Any, database: Path, progress: Progress) -> Any:
 def _square(model: Any) -> bool:
     """Whether the focal lengths of each camera are nearly equal, as those of all lenses are; else
     the photos do not determine so many parameters."""
-    return all(abs(camera.focal_length_x / camera.focal_length_y - 1) <= LARGEST_ASPECT
-               for camera in model.cameras.values())
+    return all(
+        abs(camera.focal_length_x / camera.focal_length_y - 1) <= LARGEST_ASPECT for camera in model.cameras.values()
+    )
 
 
 def _use_square_pixels(path: Path, cameras: Sequence[SourceCamera]) -> None:
@@ -211,14 +210,14 @@ def _adjust(model: Any, fixed: bool) -> None:
     model.update_point_3d_errors()
 
 
-def _incremental(database: Path, folder: Path, fixed: bool, registered: Callable[[], None]
-                 ) -> list[Any]:
+def _incremental(database: Path, folder: Path, fixed: bool, registered: Callable[[], None]) -> list[Any]:
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed, options.extract_colors = SEED, False
     if fixed:
         options.ba_refine_focal_length = options.mapper.abs_pose_refine_focal_length = False
-    return _models(pycolmap.incremental_mapping, database, _emptied(folder), folder, options,
-                   next_image_callback=registered)
+    return _models(
+        pycolmap.incremental_mapping, database, _emptied(folder), folder, options, next_image_callback=registered
+    )
 
 
 def _models(function: Any, *arguments: Any, **named: Any) -> list[Any]:

@@ -19,18 +19,37 @@ MOST_ANGLE = 0.7  # radians, to the nearest one
 _PAIRS: dict[str, Argument] = dict(pair_count="uint", pairs=("int", "P", 2))
 _FOUND: dict[str, Argument] = dict(nearest=("int", "P", "K"), products=("real", "P", "K", 2))
 INTERLEAVE = Kernel(
-    "match.cl", "interleave", each(f"photos blocks {BLOCK}"), photos="uint", features="uint",
-    blocks="uint", counts=("int", "V"), descriptors=("uchar", "V", "M", DESCRIPTOR_SIZE),
-    spread=("real", "V", "B", DESCRIPTOR_SIZE, BLOCK))
+    "match.cl",
+    "interleave",
+    each(f"photos blocks {BLOCK}"),
+    photos="uint",
+    features="uint",
+    blocks="uint",
+    counts=("int", "V"),
+    descriptors=("uchar", "V", "M", DESCRIPTOR_SIZE),
+    spread=("real", "V", "B", DESCRIPTOR_SIZE, BLOCK),
+)
 NEAREST = Kernel(
-    "match.cl", "nearest", Forms(item=each("pair_count blocks"),
-                                 group=groups("pair_count K/SCAN_GROUP", "SCAN_GROUP")),
-    blocks="uint", **_PAIRS, spread=("real", "V", "B", DESCRIPTOR_SIZE, BLOCK), **_FOUND)
+    "match.cl",
+    "nearest",
+    Forms(item=each("pair_count blocks"), group=groups("pair_count K/SCAN_GROUP", "SCAN_GROUP")),
+    blocks="uint",
+    **_PAIRS,
+    spread=("real", "V", "B", DESCRIPTOR_SIZE, BLOCK),
+    **_FOUND,
+)
 FOLLOW = Kernel(
-    "match.cl", "follow", Forms(item=each("pair_count features"),
-                                group=groups("pair_count features/SCAN_GROUP", "SCAN_GROUP")),
-    features="uint", **_PAIRS, counts=("int", "V"), geometry=("real", "P", TWO_VIEW_REALS),
-    points=("real", "V", 2, "K"), descriptors=("uchar", "V", "K", DESCRIPTOR_SIZE), **_FOUND)
+    "match.cl",
+    "follow",
+    Forms(item=each("pair_count features"), group=groups("pair_count features/SCAN_GROUP", "SCAN_GROUP")),
+    features="uint",
+    **_PAIRS,
+    counts=("int", "V"),
+    geometry=("real", "P", TWO_VIEW_REALS),
+    points=("real", "V", 2, "K"),
+    descriptors=("uchar", "V", "K", DESCRIPTOR_SIZE),
+    **_FOUND,
+)
 
 
 class Described(NamedTuple):
@@ -45,7 +64,7 @@ class Described(NamedTuple):
         counts = np.array([len(each) for each in descriptors], np.int32)
         filled = np.zeros((len(counts), rounded(counts.max(initial=1)), DESCRIPTOR_SIZE), np.uint8)
         for row, values in zip(filled, descriptors):
-            row[:len(values)] = values
+            row[: len(values)] = values
         return cls(device.upload(counts), device.upload(filled))
 
 
@@ -54,8 +73,7 @@ def rounded(count: int) -> int:
     return -(-int(count) // BLOCK) * BLOCK
 
 
-def nearest(described: Described, pairs: NDArray[np.integer], most: int
-            ) -> list[NDArray[np.uint32]]:
+def nearest(described: Described, pairs: NDArray[np.integer], most: int) -> list[NDArray[np.uint32]]:
     """The matches of pairs of photos among their first features.
 
     Parameters
@@ -71,15 +89,15 @@ def nearest(described: Described, pairs: NDArray[np.integer], most: int
     photos, features, _ = described.descriptors.shape
     blocks = min(rounded(most), features) // BLOCK
     spread = device.empty((photos, blocks, DESCRIPTOR_SIZE, BLOCK))
-    device.launch(INTERLEAVE, photos=photos, features=features, blocks=blocks,
-                  **described._asdict(), spread=spread)
+    device.launch(INTERLEAVE, photos=photos, features=features, blocks=blocks, **described._asdict(), spread=spread)
     both_ways, found = _both_ways(device, pairs, blocks * BLOCK)
     device.launch(NEAREST, blocks=blocks, **both_ways, spread=spread, **found)
     return _matches(found, MOST_RATIO)
 
 
-def follow(described: Described, points: Array, pairs: NDArray[np.integer],
-           geometry: NDArray[np.floating]) -> list[NDArray[np.uint32]]:
+def follow(
+    described: Described, points: Array, pairs: NDArray[np.integer], geometry: NDArray[np.floating]
+) -> list[NDArray[np.uint32]]:
     """As `nearest` among all features, of those that lie where the geometry of two views allows.
 
     Parameters
@@ -90,18 +108,26 @@ def follow(described: Described, points: Array, pairs: NDArray[np.integer],
     device = described.counts.device
     _, features, _ = described.descriptors.shape
     both_ways, found = _both_ways(device, pairs, features)
-    device.launch(FOLLOW, features=features, **both_ways, **described._asdict(), points=points,
-                  geometry=device.upload(geometry.reshape(-1, TWO_VIEW_REALS)), **found)
+    device.launch(
+        FOLLOW,
+        features=features,
+        **both_ways,
+        **described._asdict(),
+        points=points,
+        geometry=device.upload(geometry.reshape(-1, TWO_VIEW_REALS)),
+        **found,
+    )
     return _matches(found, MOST_RATIO_THERE)
 
 
-def _both_ways(device: Device, pairs: NDArray[np.integer], features: int
-               ) -> tuple[dict[str, Array | int], dict[str, Array]]:
+def _both_ways(
+    device: Device, pairs: NDArray[np.integer], features: int
+) -> tuple[dict[str, Array | int], dict[str, Array]]:
     """Pairs, then the same the other way, and arrays for what is found."""
     rows = np.concatenate([pairs, pairs[:, ::-1]]).astype(np.int32)
     return dict(pair_count=len(rows), pairs=device.upload(rows)), dict(
-        nearest=device.empty((len(rows), features), np.int32),
-        products=device.empty((len(rows), features, 2)))
+        nearest=device.empty((len(rows), features), np.int32), products=device.empty((len(rows), features, 2))
+    )
 
 
 def _matches(found: dict[str, Array], most_ratio: float) -> list[NDArray[np.uint32]]:

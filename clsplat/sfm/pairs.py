@@ -33,8 +33,9 @@ LARGEST_FEATURES = 256  # of a photo, by which similarity is judged
 COMPARED_AT_ONCE = 2048  # pairs
 
 
-def choose_pairs(database: Path, photos: Sequence[SourcePhoto], method: str, device: Device,
-                 progress: Progress) -> tuple[NDArray[np.int64], str]:
+def choose_pairs(
+    database: Path, photos: Sequence[SourcePhoto], method: str, device: Device, progress: Progress
+) -> tuple[NDArray[np.int64], str]:
     """Choose pairs of photos.
 
     Parameters
@@ -56,52 +57,59 @@ def choose_pairs(database: Path, photos: Sequence[SourcePhoto], method: str, dev
         near, reach = _neighbours(photos)
         if reach >= LEAST_REACH:
             rows = _unique(near, count, BEFORE_AND_AFTER)
-            return rows, (f"{len(rows):,} pairs of neighbours by GPS ({with_gps} of {count} "
-                          "photos have it)")
-    reach, kind = ((SEQUENCE, "photos that follow each other or have similar content")
-                   if method == "sequence" else (BEFORE_AND_AFTER, "photos of similar content"))
+            return rows, (f"{len(rows):,} pairs of neighbours by GPS ({with_gps} of {count} photos have it)")
+    reach, kind = (
+        (SEQUENCE, "photos that follow each other or have similar content")
+        if method == "sequence"
+        else (BEFORE_AND_AFTER, "photos of similar content")
+    )
     rows = _unique(list(_similar(database, count, device, progress)), count, reach)
     return rows, f"{len(rows):,} pairs of {kind}"
 
 
 def _unique(pairs: list[tuple[int, int]], count: int, reach: int) -> NDArray[np.int64]:
     """These pairs, and each of `count` photos with the next `reach` ones; each pair once."""
-    following = [(first, second) for first in range(count)
-                 for second in range(first + 1, min(first + 1 + reach, count))]
+    following = [
+        (first, second) for first in range(count) for second in range(first + 1, min(first + 1 + reach, count))
+    ]
     return np.unique(np.sort(np.array([*pairs, *following]), axis=1), axis=0)
 
 
 def _neighbours(photos: Sequence[SourcePhoto]) -> tuple[list[tuple[int, int]], float]:
     """Each photo with GPS and its nearest ones; and how far these reach, in metres."""
     known = [row for row, photo in enumerate(photos) if photo.metadata.latitude is not None]
-    degrees = np.array([(photos[row].metadata.longitude, photos[row].metadata.latitude)
-                        for row in known], np.float64)
+    degrees = np.array([(photos[row].metadata.longitude, photos[row].metadata.latitude) for row in known], np.float64)
     longitude, latitude = degrees[0]
     east = (degrees[:, 0] - longitude + 180) % 360 - 180  # also across the date line
-    places = np.column_stack([east * np.cos(np.radians(latitude)), degrees[:, 1] - latitude]
-                             ) * METRES_PER_DEGREE
+    places = np.column_stack([east * np.cos(np.radians(latitude)), degrees[:, 1] - latitude]) * METRES_PER_DEGREE
     count = min(NEIGHBOURS + 1, len(known))
     distances, nearest = scipy.spatial.KDTree(places).query(places, [*range(1, count + 1)])
-    return [(known[row], known[other]) for row, others in enumerate(nearest) for other in others
-            if other != row], float(np.median(distances[:, -1]))
+    return [
+        (known[row], known[other]) for row, others in enumerate(nearest) for other in others if other != row
+    ], float(np.median(distances[:, -1]))
 
 
-def _similar(path: Path, count: int, device: Device, progress: Progress
-             ) -> Iterator[tuple[int, int]]:
+def _similar(path: Path, count: int, device: Device, progress: Progress) -> Iterator[tuple[int, int]]:
     """Each photo with those that share most of its largest features."""
     with pycolmap.Database.open(path) as database:
-        described = Described.of(device, [
-            database.read_descriptors(image_id(index)).data[:LARGEST_FEATURES]
-            if database.exists_descriptors(image_id(index))  # else the photo is damaged
-            else np.empty((0, DESCRIPTOR_SIZE), np.uint8) for index in range(count)])
+        described = Described.of(
+            device,
+            [
+                database.read_descriptors(image_id(index)).data[:LARGEST_FEATURES]
+                if database.exists_descriptors(image_id(index))  # else the photo is damaged
+                else np.empty((0, DESCRIPTOR_SIZE), np.uint8)
+                for index in range(count)
+            ],
+        )
     rows = np.column_stack(np.triu_indices(count, 1))
     shared = np.zeros((count, count), np.int32)
     for begin in range(0, len(rows), COMPARED_AT_ONCE):
         progress.count("comparing pair", begin, len(rows))
-        some = rows[begin:begin + COMPARED_AT_ONCE]
+        some = rows[begin : begin + COMPARED_AT_ONCE]
         first, second = some.T
         shared[first, second] = shared[second, first] = [
-            len(matches) for matches in nearest(described, some, LARGEST_FEATURES)]
+            len(matches) for matches in nearest(described, some, LARGEST_FEATURES)
+        ]
     progress.count("comparing pair", len(rows), len(rows))
     for index, row in enumerate(shared):
         best = np.argsort(-row, kind="stable")[:SIMILAR]

@@ -60,8 +60,7 @@ def is_video(path: Path) -> bool:
     return path.suffix.lower() in VIDEOS and not path.is_dir()
 
 
-def find_photos(folder: Path, masks: Path | None = None
-                ) -> tuple[list[SourcePhoto], dict[str, str]]:
+def find_photos(folder: Path, masks: Path | None = None) -> tuple[list[SourcePhoto], dict[str, str]]:
     """Find the photos of a folder and its subfolders, sorted by name. Subfolders that clsplat has
     written are left out.
 
@@ -85,8 +84,7 @@ def find_photos(folder: Path, masks: Path | None = None
     files = MaskFiles(beside, beside=masks is None)
     photos, refused = [], {}
     paths = sorted(_files(root, masks), key=lambda path: path.relative_to(root).as_posix())
-    rendered = {path.with_suffix("") for path in paths
-                if _is_photo(path) and path.suffix.lower() not in RAW_SUFFIXES}
+    rendered = {path.with_suffix("") for path in paths if _is_photo(path) and path.suffix.lower() not in RAW_SUFFIXES}
     for path in paths:
         if path.suffix.lower() in (*UNREAD, *RAW_SUFFIXES) and path.with_suffix("") in rendered:
             continue  # a camera may write each photo in both formats
@@ -110,11 +108,15 @@ def find_photos(folder: Path, masks: Path | None = None
         photos.append(SourcePhoto(name, path, metadata, mask))
     if len(photos) < LEAST_PHOTOS:
         why = f"; {next(iter(refused.values()))}" if refused else ""
-        raise InputError(f"{folder}: {len(photos)} photos that can be read, and a reconstruction "
-                         f"needs at least {LEAST_PHOTOS}, better 20 or more{why}")
+        raise InputError(
+            f"{folder}: {len(photos)} photos that can be read, and a reconstruction "
+            f"needs at least {LEAST_PHOTOS}, better 20 or more{why}"
+        )
     if beside and not any(photo.mask for photo in photos):
-        raise InputError(f"{'--masks ' if masks else ''}{beside[0]}: has a mask for none of the "
-                         "photos; name them as the photos, with .png as the suffix or after it")
+        raise InputError(
+            f"{'--masks ' if masks else ''}{beside[0]}: has a mask for none of the "
+            "photos; name them as the photos, with .png as the suffix or after it"
+        )
     return photos, refused
 
 
@@ -123,8 +125,7 @@ def _photo_root(folder: Path) -> Path:
     if not folder.is_dir():
         what = "is neither a folder nor a video" if folder.exists() else "no such folder"
         raise InputError(f"{folder}: {what}; give a folder with photos, or a video")
-    if not any(_is_photo(path) and not photo_of(path.name) for path in folder.iterdir()) and (
-            folder / IMAGES).is_dir():
+    if not any(_is_photo(path) and not photo_of(path.name) for path in folder.iterdir()) and (folder / IMAGES).is_dir():
         return folder / IMAGES
     return folder
 
@@ -138,10 +139,14 @@ def _files(root: Path, masks: Path | None = None) -> Iterator[Path]:
     and runs, which may have been written beside the photos."""
     for folder, names, files in os.walk(root):
         below = [Path(folder) / name for name in names]
-        names[:] = [path.name for path in below
-                    if path.name[0] != "." and path.name.lower() not in FOLDERS
-                    and not (masks and path.samefile(masks))
-                    and not any((path / mark).exists() for mark in WRITTEN)]
+        names[:] = [
+            path.name
+            for path in below
+            if path.name[0] != "."
+            and path.name.lower() not in FOLDERS
+            and not (masks and path.samefile(masks))
+            and not any((path / mark).exists() for mark in WRITTEN)
+        ]
         yield from (Path(folder) / name for name in files)
 
 
@@ -178,6 +183,13 @@ def _camera(photos: list[SourcePhoto], rows: list[int], model: str) -> SourceCam
         model, focal = "OPENCV", sum(calibration[:2]) / 2
     elif not model:
         model = "OPENCV" if len(rows) >= LEAST_FOR_OPENCV else "SIMPLE_RADIAL"
-    return SourceCamera(model, data.width, data.height, focal,
-                        bool(focals) or calibration is not None, calibration, tuple(rows),
-                        is_chosen)
+    return SourceCamera(
+        model,
+        data.width,
+        data.height,
+        focal,
+        bool(focals) or calibration is not None,
+        calibration,
+        tuple(rows),
+        is_chosen,
+    )

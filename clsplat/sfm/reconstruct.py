@@ -63,8 +63,9 @@ class SfmOptions:
     device: str = "auto"  # on which features are found and matched, as for `clsplat.Device`
 
 
-def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progress,
-                overwrite: bool = False) -> dict[str, Any]:
+def reconstruct(
+    source: Path, output: Path, options: SfmOptions, progress: Progress, overwrite: bool = False
+) -> dict[str, Any]:
     """Reconstruct a scene from photos or a video.
 
     Parameters
@@ -86,8 +87,10 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
     """
     models = set(CAMERA_MODELS) - {"EQUIRECTANGULAR"}  # a pinhole camera cannot show a sphere
     if options.camera_model and options.camera_model not in models:
-        raise InputError(f"--camera-model {options.camera_model}: is none of "
-                         f"{', '.join(sorted(models))}; leave it out, or give one of them")
+        raise InputError(
+            f"--camera-model {options.camera_model}: is none of "
+            f"{', '.join(sorted(models))}; leave it out, or give one of them"
+        )
     crs = scene_crs(options.crs) if options.crs else None
     control = read_control_points(options.control_points, crs, options.check_points)
     _check_output(output, (source, options.masks), overwrite)
@@ -109,9 +112,16 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
         photos, refused = found
         cameras = inputs.cameras_of(photos, options.camera_model)
         masks = options.masks and str(options.masks.resolve())
-        unfinished.open(photos, {"masks": masks, "matching": options.matching,
-                                 "max_features": options.max_features,
-                                 "camera_model": options.camera_model}, overwrite)
+        unfinished.open(
+            photos,
+            {
+                "masks": masks,
+                "matching": options.matching,
+                "max_features": options.max_features,
+                "camera_model": options.camera_model,
+            },
+            overwrite,
+        )
         database = unfinished.folder / "database.db"
         method = "sequence" if is_video(source) and options.matching == "auto" else options.matching
         damaged, matching = _match(database, photos, cameras, method, options, progress)
@@ -120,8 +130,9 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
         model, metadata = unfinished.model(), {photo.name: photo.metadata for photo in photos}
         has_place = True
         try:
-            placed = place_reconstruction(model, metadata, control, adjusts=True,
-                                          keep_focal=inputs.are_calibrated(cameras))
+            placed = place_reconstruction(
+                model, metadata, control, adjusts=True, keep_focal=inputs.are_calibrated(cameras)
+            )
         except NotGeoreferenced as error:
             model, has_place = unfinished.model(), False  # without an adjustment
             placed = turned(model, metadata, error)
@@ -131,35 +142,46 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
         if not has_place and (options.control_points or options.crs):
             raise InputError(
                 f"{output}: the scene is complete, but {placed.notes[0]}; correct this and give "
-                "the command again, which goes on from here, or train the scene without a place")
+                "the command again, which goes on from here, or train the scene without a place"
+            )
         record = {
-            "version": __version__, "source": plain(source.resolve()), "masks": masks,
+            "version": __version__,
+            "source": plain(source.resolve()),
+            "masks": masks,
             "matching": matching,
             "levels": next((photo.levels for photo in photos if photo.levels), None),
             **_facts(model, cameras, placed),
-            "photos": len(photos) + len(refused), "not_registered": {
-                **refused, **damaged, **reasons(database, photos, {*names, *damaged})},
-            "seconds": round(time.monotonic() - start, 1)}
+            "photos": len(photos) + len(refused),
+            "not_registered": {**refused, **damaged, **reasons(database, photos, {*names, *damaged})},
+            "seconds": round(time.monotonic() - start, 1),
+        }
         write_object(output / inputs.RECORD, record)
         shutil.rmtree(unfinished.folder)
     return record
 
 
-def _match(database: Path, photos: Sequence[SourcePhoto], cameras: Sequence[SourceCamera],
-           method: str, options: SfmOptions, progress: Progress) -> tuple[dict[str, str], str]:
+def _match(
+    database: Path,
+    photos: Sequence[SourcePhoto],
+    cameras: Sequence[SourceCamera],
+    method: str,
+    options: SfmOptions,
+    progress: Progress,
+) -> tuple[dict[str, str], str]:
     """Fill the database; why photos cannot be used, by name, and which pairs were matched."""
     device = choose_device(options.device)
     try:
         if not database.exists():
             features.create_database(database, cameras)
-        damaged = features.extract_features(database, photos, device, options.max_features,
-                                            progress)
+        damaged = features.extract_features(database, photos, device, options.max_features, progress)
         pairs, why = choose_pairs(database, photos, method, device, progress)
         progress.message(f"matching {why}")
         match_pairs(database, pairs, device, progress)
     except RuntimeError as error:  # of SQLite in pycolmap, which gives no other reason
-        raise InputError(f"{database}: cannot be written or read ({reason(error)}); check that "
-                         "the disk has space, and give the command again") from error
+        raise InputError(
+            f"{database}: cannot be written or read ({reason(error)}); check that "
+            "the disk has space, and give the command again"
+        ) from error
     return damaged, why
 
 
@@ -172,13 +194,14 @@ def is_finished(output: Path, source: Path) -> bool:
     record = read_object(path, {}, f"remove {output}")
     made_of, masks = record.get("source"), record.get("masks")
     if made_of != plain(source.resolve()):
-        raise InputError(f"{output}: was made of {made_of}, not of {source}; remove it, or give "
-                         "another -o")
+        raise InputError(f"{output}: was made of {made_of}, not of {source}; remove it, or give another -o")
     if not is_video(source):
         count = sum(map(len, find_photos(source, Path(masks) if isinstance(masks, str) else None)))
         if record.get("photos") != count:
-            raise InputError(f"{output}: was made of {record.get('photos')} photos of {source}, "
-                             f"which now has {count}; remove it to make it again")
+            raise InputError(
+                f"{output}: was made of {record.get('photos')} photos of {source}, "
+                f"which now has {count}; remove it to make it again"
+            )
     return True
 
 
@@ -188,20 +211,15 @@ def _check_output(output: Path, sources: Iterable[Path | None], overwrite: bool)
     if not (output / inputs.UNFINISHED).is_dir():
         if (output / inputs.RECORD).exists():
             if not overwrite:
-                raise InputError(f"{output}: holds a reconstructed scene already; give another "
-                                 "folder, or --overwrite")
-        elif output.exists() and (not output.is_dir() or {
-                path.name for path in output.iterdir()} - {LOCK, HOLDER}):
-            raise InputError(f"{output}: exists and was not made by `clsplat sfm`; give another "
-                             "folder")
+                raise InputError(f"{output}: holds a reconstructed scene already; give another folder, or --overwrite")
+        elif output.exists() and (not output.is_dir() or {path.name for path in output.iterdir()} - {LOCK, HOLDER}):
+            raise InputError(f"{output}: exists and was not made by `clsplat sfm`; give another folder")
     for path in filter(None, sources):
         if path.resolve().is_relative_to(output.resolve()):
-            raise InputError(f"{path}: is in {output}, whose files are replaced; give another "
-                             "folder for the scene")
+            raise InputError(f"{path}: is in {output}, whose files are replaced; give another folder for the scene")
 
 
-def _photos(source: Path, options: SfmOptions, progress: Progress
-            ) -> tuple[list[SourcePhoto], dict[str, str]] | None:
+def _photos(source: Path, options: SfmOptions, progress: Progress) -> tuple[list[SourcePhoto], dict[str, str]] | None:
     """`find_photos` of a folder; None for a video."""
     if is_video(source):
         if options.masks is not None:
@@ -213,13 +231,13 @@ def _photos(source: Path, options: SfmOptions, progress: Progress
     masked = sum(photo.mask is not None for photo in photos)
     if masked:
         progress.message(f"{masked} of {len(photos)} photos have a mask: dark pixels are not used")
-    levels, notes = common_levels([photo.path for photo in photos],
-                                  [photo.metadata.is_deep for photo in photos])
+    levels, notes = common_levels([photo.path for photo in photos], [photo.metadata.is_deep for photo in photos])
     known, found = with_mrk((photo.path, photo.metadata) for photo in photos)
     for note in (*notes, *found):
         progress.message(note)
-    return [replace(photo, levels=each, metadata=metadata)
-            for photo, each, metadata in zip(photos, levels, known)], refused
+    return [
+        replace(photo, levels=each, metadata=metadata) for photo, each, metadata in zip(photos, levels, known)
+    ], refused
 
 
 class Unfinished:
@@ -233,17 +251,21 @@ class Unfinished:
     def open(self, photos: Sequence[SourcePhoto], options: dict[str, Any], overwrite: bool) -> None:
         """Begin or continue a reconstruction; InputError if the folder has what other photos or
         options, on which features, matches and poses depend, left and may not be overwritten."""
-        state = {"options": options, "photos": [
-            [photo.name, photo.path.stat().st_size, str(photo.mask)] for photo in photos]}
+        state = {
+            "options": options,
+            "photos": [[photo.name, photo.path.stat().st_size, str(photo.mask)] for photo in photos],
+        }
         path = self.folder / STATE
         if path.exists():
             with suppress(OSError, ValueError):
                 if object_of(read_regular(path)) == state:
                     return
             if not overwrite:
-                raise InputError(f"{self.folder.parent}: holds an unfinished reconstruction of "
-                                 "other photos or with other options; give another folder, or "
-                                 "--overwrite")
+                raise InputError(
+                    f"{self.folder.parent}: holds an unfinished reconstruction of "
+                    "other photos or with other options; give another folder, or "
+                    "--overwrite"
+                )
         # without a state, what is there was left by a command that was killed while it removed it
         self.forget()
         write_object(path, state)
@@ -273,8 +295,7 @@ class Unfinished:
         return pycolmap.Reconstruction(self._model)
 
 
-def write_scene(folder: Path, reconstruction: Any, photos: Sequence[SourcePhoto],
-                progress: Progress) -> list[str]:
+def write_scene(folder: Path, reconstruction: Any, photos: Sequence[SourcePhoto], progress: Progress) -> list[str]:
     """Write images/, masks/ and sparse/0 of a scene, and give points their colours; the names of
     the registered photos, sorted.
 
@@ -296,29 +317,39 @@ def write_scene(folder: Path, reconstruction: Any, photos: Sequence[SourcePhoto]
     return names
 
 
-def _facts(model: pycolmap.Reconstruction, cameras: Sequence[SourceCamera], placed: Placed
-           ) -> dict[str, Any]:
+def _facts(model: pycolmap.Reconstruction, cameras: Sequence[SourceCamera], placed: Placed) -> dict[str, Any]:
     """What sfm.json has on a reconstruction; `cameras` as they were known before."""
     known = placed.georeference
     control = known.residuals if known is not None and known.kind == "gcp" else ()
-    record: dict[str, Any] = plain({
-        "registered": model.num_reg_images(), "points": model.num_points3D(),
-        "mean_track_length": model.compute_mean_track_length(),
-        "reprojection_error_pixels": model.compute_mean_reprojection_error(),
-        "cameras": [{
-            "model": model.cameras[number].model_name, "width": source.width,
-            "height": source.height, "parameters": model.cameras[number].params,
-            "photos": len(source.photos)}
-            for number, source in enumerate(cameras, 1) if number in model.cameras],
-        "georeferenced": known is not None, "up": placed.up,
-        "control_points": list(map(asdict, control)), "notes": placed.notes,
-        "position_priors": placed.priors and {**asdict(placed.priors), "text": str(placed.priors)},
-        "warnings": [*placed.warnings, *lens_doubts(model, cameras)]})
+    record: dict[str, Any] = plain(
+        {
+            "registered": model.num_reg_images(),
+            "points": model.num_points3D(),
+            "mean_track_length": model.compute_mean_track_length(),
+            "reprojection_error_pixels": model.compute_mean_reprojection_error(),
+            "cameras": [
+                {
+                    "model": model.cameras[number].model_name,
+                    "width": source.width,
+                    "height": source.height,
+                    "parameters": model.cameras[number].params,
+                    "photos": len(source.photos),
+                }
+                for number, source in enumerate(cameras, 1)
+                if number in model.cameras
+            ],
+            "georeferenced": known is not None,
+            "up": placed.up,
+            "control_points": list(map(asdict, control)),
+            "notes": placed.notes,
+            "position_priors": placed.priors and {**asdict(placed.priors), "text": str(placed.priors)},
+            "warnings": [*placed.warnings, *lens_doubts(model, cameras)],
+        }
+    )
     return record
 
 
-def reasons(database: Path, photos: Sequence[SourcePhoto], others: Container[str]
-            ) -> dict[str, str]:
+def reasons(database: Path, photos: Sequence[SourcePhoto], others: Container[str]) -> dict[str, str]:
     """Why photos, except `others`, were not registered, by name."""
     matches, result = features.partners(database), {}
     with pycolmap.Database.open(database) as source:
@@ -327,7 +358,9 @@ def reasons(database: Path, photos: Sequence[SourcePhoto], others: Container[str
                 found = source.num_keypoints_for_image(number)
                 result[photo.name] = (
                     f"has only {found} features: it is blurred or shows hardly any detail"
-                    if found < FEW_FEATURES else
-                    f"matches {matches[number]} photos, but nothing joins it to the largest part "
-                    "of the scene" if matches[number] else "matches no other photo")
+                    if found < FEW_FEATURES
+                    else f"matches {matches[number]} photos, but nothing joins it to the largest part of the scene"
+                    if matches[number]
+                    else "matches no other photo"
+                )
     return result

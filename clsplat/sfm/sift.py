@@ -18,26 +18,76 @@ ROOM = 16  # pixels a keypoint, for which there is room at first
 
 _SIZE = dict(width="uint", height="uint", stride="uint")
 _BLOCKS = Forms(item=each(f"height stride/{COLUMNS}"), group=each("height stride"))
-GREY = Kernel("sift.cl", "grey", each("height stride"), source_width="uint", source_height="uint",
-              **_SIZE, target="uint", pixels=("uchar", "P"), levels=("real", "L"))
+GREY = Kernel(
+    "sift.cl",
+    "grey",
+    each("height stride"),
+    source_width="uint",
+    source_height="uint",
+    **_SIZE,
+    target="uint",
+    pixels=("uchar", "P"),
+    levels=("real", "L"),
+)
 SMOOTH_COLUMNS = Kernel(
-    "sift.cl", "smooth_columns", _BLOCKS, **_SIZE, source="uint", radius="uint",
-    taps=("real", "T"), levels=("real", "L"), smoothed=("real", "S"))
+    "sift.cl",
+    "smooth_columns",
+    _BLOCKS,
+    **_SIZE,
+    source="uint",
+    radius="uint",
+    taps=("real", "T"),
+    levels=("real", "L"),
+    smoothed=("real", "S"),
+)
 SMOOTH_ROWS = Kernel(
-    "sift.cl", "smooth_rows", Forms(item=each("height"), group=each("height stride")), **_SIZE,
-    before="uint", target="uint", difference="uint", radius="uint", taps=("real", "T"),
-    smoothed=("real", "S"), levels=("real", "L"), differences=("real", "D"))
-HALVE = Kernel("sift.cl", "halve", each("height stride"), **_SIZE, source_stride="uint",
-               source="uint", target="uint", levels=("real", "L"))
+    "sift.cl",
+    "smooth_rows",
+    Forms(item=each("height"), group=each("height stride")),
+    **_SIZE,
+    before="uint",
+    target="uint",
+    difference="uint",
+    radius="uint",
+    taps=("real", "T"),
+    smoothed=("real", "S"),
+    levels=("real", "L"),
+    differences=("real", "D"),
+)
+HALVE = Kernel(
+    "sift.cl",
+    "halve",
+    each("height stride"),
+    **_SIZE,
+    source_stride="uint",
+    source="uint",
+    target="uint",
+    levels=("real", "L"),
+)
 EXTREMA = Kernel(
-    "sift.cl", "extrema", Forms(item=each(f"{SIFT_SCALES} height stride/{COLUMNS}"),
-                                group=each(f"{SIFT_SCALES} height stride")),
-    **_SIZE, octave="uint", first_cell="uint", room="uint", differences=("real", "D"),
-    keypoints=("real", "N", 4), cells=("uint", "N"), found=("uint", 1))
+    "sift.cl",
+    "extrema",
+    Forms(item=each(f"{SIFT_SCALES} height stride/{COLUMNS}"), group=each(f"{SIFT_SCALES} height stride")),
+    **_SIZE,
+    octave="uint",
+    first_cell="uint",
+    room="uint",
+    differences=("real", "D"),
+    keypoints=("real", "N", 4),
+    cells=("uint", "N"),
+    found=("uint", 1),
+)
 DESCRIBE = Kernel(
-    "sift.cl", "describe", Forms(item=each("count"), group=groups("count", "SCAN_GROUP")),
-    count="uint", keypoints=("real", "N", 4), octaves=("int", "O", 4), levels=("real", "L"),
-    angles=("real", "N", 2), descriptors=("uchar", "N", 2, DESCRIPTOR_SIZE))
+    "sift.cl",
+    "describe",
+    Forms(item=each("count"), group=groups("count", "SCAN_GROUP")),
+    count="uint",
+    keypoints=("real", "N", 4),
+    octaves=("int", "O", 4),
+    levels=("real", "L"),
+    angles=("real", "N", 2),
+    descriptors=("uchar", "N", 2, DESCRIPTOR_SIZE),
+)
 
 
 class Octave(NamedTuple):
@@ -77,8 +127,9 @@ class Sift:
         self.device, self.most = device, most
         self._taps: dict[float, Array] = {}
 
-    def features(self, pixels: NDArray[np.uint8], width: int, height: int
-                 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    def features(
+        self, pixels: NDArray[np.uint8], width: int, height: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """The features of a photo, the largest first.
 
         Parameters
@@ -98,17 +149,18 @@ class Sift:
         last = octaves[-1]
         levels = self.device.empty(last.level(SIFT_LEVELS))
         everywhere, cells = self._keypoints(levels, octaves, pixels)
-        keypoints = everywhere[np.lexsort((cells, -_scales(everywhere)))[:self.most]]
+        keypoints = everywhere[np.lexsort((cells, -_scales(everywhere)))[: self.most]]
         angles, descriptors = self._described(levels, octaves, keypoints)
         rows, slots = np.nonzero(angles > NO_ANGLE)
-        rows, slots = rows[:self.most], slots[:self.most]
+        rows, slots = rows[: self.most], slots[: self.most]
         chosen = keypoints[rows]
-        return np.column_stack([
-            chosen[:, :2] * 2.0 ** chosen[:, 3:] + 0.5, _scales(chosen), angles[rows, slots]
-        ]).astype(np.float32), descriptors[rows, slots]
+        return np.column_stack(
+            [chosen[:, :2] * 2.0 ** chosen[:, 3:] + 0.5, _scales(chosen), angles[rows, slots]]
+        ).astype(np.float32), descriptors[rows, slots]
 
-    def _keypoints(self, levels: Array, octaves: list[Octave], pixels: NDArray[np.uint8]
-                   ) -> tuple[NDArray[np.floating], NDArray[np.uint32]]:
+    def _keypoints(
+        self, levels: Array, octaves: list[Octave], pixels: NDArray[np.uint8]
+    ) -> tuple[NDArray[np.floating], NDArray[np.uint32]]:
         """As the kernels' keypoints [N, 4] and cells uint[N]; fills the levels."""
         device, first = self.device, octaves[0]
         source_height, source_width, _ = pixels.shape
@@ -122,24 +174,42 @@ class Sift:
             found.fill(0)
             found_at, cells = device.empty((room, 4)), device.empty(room, np.uint32)
             # the enlarged photo lies where level 1 comes later
-            device.launch(GREY, source_width=source_width, source_height=source_height,
-                          **_size(first), target=first.level(1), levels=levels, pixels=uploaded)
+            device.launch(
+                GREY,
+                source_width=source_width,
+                source_height=source_height,
+                **_size(first),
+                target=first.level(1),
+                levels=levels,
+                pixels=uploaded,
+            )
             for number, octave in enumerate(octaves):
                 if number:
                     before = octaves[number - 1]
-                    device.launch(HALVE, **_size(octave), source_stride=before.stride,
-                                  source=before.level(SIFT_SCALES), target=octave.begin,
-                                  levels=levels)
+                    device.launch(
+                        HALVE,
+                        **_size(octave),
+                        source_stride=before.stride,
+                        source=before.level(SIFT_SCALES),
+                        target=octave.begin,
+                        levels=levels,
+                    )
                 else:
-                    self._smooth(octave, 1, 0, math.sqrt(SIFT_SIGMA**2 - PHOTO_SIGMA**2), levels,
-                                 smoothed, differences)
+                    self._smooth(octave, 1, 0, math.sqrt(SIFT_SIGMA**2 - PHOTO_SIGMA**2), levels, smoothed, differences)
                 for level in range(1, SIFT_LEVELS):
-                    sigma = SIFT_SIGMA * 2 ** ((level - 1) / SIFT_SCALES) * math.sqrt(
-                        2 ** (2 / SIFT_SCALES) - 1)
+                    sigma = SIFT_SIGMA * 2 ** ((level - 1) / SIFT_SCALES) * math.sqrt(2 ** (2 / SIFT_SCALES) - 1)
                     self._smooth(octave, level - 1, level, sigma, levels, smoothed, differences)
-                device.launch(EXTREMA, **_size(octave), octave=number, first_cell=octave.begin,
-                              room=room, differences=differences, keypoints=found_at, cells=cells,
-                              found=found)
+                device.launch(
+                    EXTREMA,
+                    **_size(octave),
+                    octave=number,
+                    first_cell=octave.begin,
+                    room=room,
+                    differences=differences,
+                    keypoints=found_at,
+                    cells=cells,
+                    found=found,
+                )
             count = int(found.download()[0])
             if count <= room:
                 break
@@ -147,30 +217,53 @@ class Sift:
         places, rows = np.unique(cells.narrow(count).download(), return_index=True)
         return found_at.narrow(count).download()[rows], places
 
-    def _smooth(self, octave: Octave, before: int, after: int, sigma: float, levels: Array,
-                smoothed: Array, differences: Array) -> None:
+    def _smooth(
+        self, octave: Octave, before: int, after: int, sigma: float, levels: Array, smoothed: Array, differences: Array
+    ) -> None:
         """One level from another, and their difference in place of the lower one."""
         if sigma not in self._taps:
             away = np.arange(math.ceil(CUT * sigma) + 1)
-            weights = np.exp(-0.5 * (away / sigma)**2)
+            weights = np.exp(-0.5 * (away / sigma) ** 2)
             self._taps[sigma] = self.device.upload(weights / (2 * weights.sum() - 1))
         taps = self._taps[sigma]
-        self.device.launch(SMOOTH_COLUMNS, **_size(octave), source=octave.level(before),
-                           radius=len(taps) - 1, taps=taps, levels=levels, smoothed=smoothed)
         self.device.launch(
-            SMOOTH_ROWS, **_size(octave), before=octave.level(before), target=octave.level(after),
-            difference=min(before, after) * octave.height * octave.stride, radius=len(taps) - 1,
-            taps=taps, smoothed=smoothed, levels=levels, differences=differences)
+            SMOOTH_COLUMNS,
+            **_size(octave),
+            source=octave.level(before),
+            radius=len(taps) - 1,
+            taps=taps,
+            levels=levels,
+            smoothed=smoothed,
+        )
+        self.device.launch(
+            SMOOTH_ROWS,
+            **_size(octave),
+            before=octave.level(before),
+            target=octave.level(after),
+            difference=min(before, after) * octave.height * octave.stride,
+            radius=len(taps) - 1,
+            taps=taps,
+            smoothed=smoothed,
+            levels=levels,
+            differences=differences,
+        )
 
-    def _described(self, levels: Array, octaves: list[Octave], keypoints: NDArray[np.floating]
-                   ) -> tuple[NDArray[np.floating], NDArray[np.uint8]]:
+    def _described(
+        self, levels: Array, octaves: list[Octave], keypoints: NDArray[np.floating]
+    ) -> tuple[NDArray[np.floating], NDArray[np.uint8]]:
         """As the kernels' angles [N, 2] and descriptors uint8[N, 2, 128]."""
         device, count = self.device, len(keypoints)
         angles = device.empty((count, 2))
         descriptors = device.empty((count, 2, DESCRIPTOR_SIZE), np.uint8)
-        device.launch(DESCRIBE, count=count, keypoints=device.upload(keypoints), levels=levels,
-                      octaves=device.upload(np.array(octaves, np.int32)), angles=angles,
-                      descriptors=descriptors)
+        device.launch(
+            DESCRIBE,
+            count=count,
+            keypoints=device.upload(keypoints),
+            levels=levels,
+            octaves=device.upload(np.array(octaves, np.int32)),
+            angles=angles,
+            descriptors=descriptors,
+        )
         return angles.download(), descriptors.download()
 
 

@@ -30,8 +30,7 @@ QUALITY = 97  # of JPEG
 def check_video(path: Path) -> None:
     """InputError if there is no such file, or no PyAV to read it with."""
     if av is None:
-        raise InputError(f"{path}: to read videos needs PyAV, which is not installed; install it "
-                         "with `pip install av`")
+        raise InputError(f"{path}: to read videos needs PyAV, which is not installed; install it with `pip install av`")
     if not path.exists():
         raise InputError(f"{path}: no such file; check the path")
 
@@ -50,11 +49,9 @@ def extract_frames(path: Path, folder: Path, count: int, progress: Progress) -> 
         for number, frame in enumerate(_sharpest(path, count)):
             progress.count("taking sharp frame", number + 1, count)
             turns = round(getattr(frame, "rotation", 0) / 90)  # counter-clockwise, degrees
-            write_image(folder / f"frame_{number:06d}.jpg",
-                        np.rot90(frame.to_ndarray(format="rgb24"), turns), QUALITY)
+            write_image(folder / f"frame_{number:06d}.jpg", np.rot90(frame.to_ndarray(format="rgb24"), turns), QUALITY)
     except (av.FFmpegError, ValueError, IndexError) as error:
-        raise InputError(f"{path}: not a video that can be decoded ({reason(error)}); convert it "
-                         "to MP4") from None
+        raise InputError(f"{path}: not a video that can be decoded ({reason(error)}); convert it to MP4") from None
 
 
 def _sharpest(path: Path, count: int) -> Iterator[Any]:
@@ -67,8 +64,9 @@ def _sharpest(path: Path, count: int) -> Iterator[Any]:
             total = int(container.duration / av.time_base * stream.average_rate)
         total = max(total, count)
         # a file may have more frames than its header claims
-        for _, window in groupby(enumerate(container.decode(stream)), key=lambda numbered: min(
-                numbered[0] * count // total, count - 1)):
+        for _, window in groupby(
+            enumerate(container.decode(stream)), key=lambda numbered: min(numbered[0] * count // total, count - 1)
+        ):
             yield max((frame for _, frame in window), key=_sharpness)
 
 
@@ -76,5 +74,4 @@ def _sharpness(frame: Any) -> float:
     """The variance of the Laplacian of a grey frame at a small size."""
     grey = frame.to_ndarray(format="gray")
     factor = min(1.0, SHARPNESS_SIZE / max(grey.shape))
-    return float(scipy.ndimage.laplace(
-        scipy.ndimage.zoom(grey.astype(np.float32), factor, order=1)).var())
+    return float(scipy.ndimage.laplace(scipy.ndimage.zoom(grey.astype(np.float32), factor, order=1)).var())

@@ -67,12 +67,17 @@ class Points(NamedTuple):
         return Points._make(values[which] for values in self)
 
 
-def sweep_seconds(device: Device, scene: Scene, views: Sequence[View],
-                  photos_of: Callable[[Sequence[View]], Sequence[NDArray[np.uint8]]]) -> float:
+def sweep_seconds(
+    device: Device,
+    scene: Scene,
+    views: Sequence[View],
+    photos_of: Callable[[Sequence[View]], Sequence[NDArray[np.uint8]]],
+) -> float:
     """About how long the sweeps of all views take, by that of one of them; `photos_of` reads the
     photos of views."""
-    number, others = next(((number, sources) for number, sources
-                           in enumerate(stereo_views(scene, views)) if sources), (0, []))
+    number, others = next(
+        ((number, sources) for number, sources in enumerate(stereo_views(scene, views)) if sources), (0, [])
+    )
     chosen = [views[each] for each in (number, *others)]
     photos, between = photos_of(chosen), _depth_ranges(chosen, *visibility(scene, chosen))
     sources = [list(range(1, len(chosen))), *([] for _ in others)]
@@ -84,18 +89,20 @@ def sweep_seconds(device: Device, scene: Scene, views: Sequence[View],
 
 
 def stereo_views(scene: Scene, views: Sequence[View]) -> list[list[int]]:
-    """For each view the indices of those with which it is compared; none where they are too few.
-    """
-    chosen: list[list[int]] = [sources.tolist() for sources in
-                               choose_source_views(scene, views, SOURCES)]
+    """For each view the indices of those with which it is compared; none where they are too few."""
+    chosen: list[list[int]] = [sources.tolist() for sources in choose_source_views(scene, views, SOURCES)]
     return [sources if len(sources) >= LEAST_SOURCES else [] for sources in chosen]
 
 
-def dense_points(device: Device, scene: Scene, views: Sequence[View],
-                 photos: Sequence[NDArray[np.uint8]], most: int,
-                 progress: Callable[[int], object] = lambda done: None,
-                 sources: Sequence[Sequence[int]] | None = None
-                 ) -> tuple[Points, float]:
+def dense_points(
+    device: Device,
+    scene: Scene,
+    views: Sequence[View],
+    photos: Sequence[NDArray[np.uint8]],
+    most: int,
+    progress: Callable[[int], object] = lambda done: None,
+    sources: Sequence[Sequence[int]] | None = None,
+) -> tuple[Points, float]:
     """Points of a scene, the sparse points among them, and the size of the cells whose points were
     merged, pixels.
 
@@ -118,8 +125,9 @@ def dense_points(device: Device, scene: Scene, views: Sequence[View],
         return _in_cells(part.chosen(inside.all(axis=1)), 1.0)
 
     threads = os.cpu_count() or 1
-    parts = called_ahead(points_of, _by(PHOTOS_TOGETHER, zip(views, photos, _confirmed(
-        device, sources, views, maps))), threads, threads)
+    parts = called_ahead(
+        points_of, _by(PHOTOS_TOGETHER, zip(views, photos, _confirmed(device, sources, views, maps))), threads, threads
+    )
     return merge(Points.joined([*parts, _sparse(scene, views, *seen)]), most)
 
 
@@ -130,36 +138,38 @@ def _by(count: int, items: Iterable[Item]) -> Iterator[tuple[Item, ...]]:
         yield some
 
 
-def _depth_ranges(views: Sequence[View], points: Floats, point: NDArray[np.integer],
-                  seen_by: NDArray[np.integer]) -> list[tuple[float, float] | None]:
+def _depth_ranges(
+    views: Sequence[View], points: Floats, point: NDArray[np.integer], seen_by: NDArray[np.integer]
+) -> list[tuple[float, float] | None]:
     """For each view the depths of the nearest and the farthest plane; None where too few sparse
     points show. For the other arguments see `visibility`."""
     result: list[tuple[float, float] | None] = []
     for view, seen in zip(views, by_view(point, seen_by, len(views))):
         _, depth = view.camera.project(points[seen])
         depth = depth[depth > 0]
-        near, far = (np.percentile(depth, (1, 99)) * BEYOND if len(depth) >= LEAST_SEEN
-                     else (0.0, 0.0))
+        near, far = np.percentile(depth, (1, 99)) * BEYOND if len(depth) >= LEAST_SEEN else (0.0, 0.0)
         result.append((float(near), float(far)) if near > 0 else None)
     return result
 
 
-def _depth_maps(device: Device, sources: Sequence[Sequence[int]], views: Sequence[View],
-                photos: Sequence[NDArray[np.uint8]],
-                between: Sequence[tuple[float, float] | None],
-                progress: Callable[[int], object] = lambda done: None) -> list[DepthMap]:
+def _depth_maps(
+    device: Device,
+    sources: Sequence[Sequence[int]],
+    views: Sequence[View],
+    photos: Sequence[NDArray[np.uint8]],
+    between: Sequence[tuple[float, float] | None],
+    progress: Callable[[int], object] = lambda done: None,
+) -> list[DepthMap]:
     """The inverse depths of all pixels of each view [h, w], 0 where there is none, and bool[h, w],
     which of them look alike in two sources; the others may still confirm those of another view.
     A view without sources or `between`, the depths of its first and last plane, has none."""
-    maps = [(np.zeros(photo.shape[1:], np.float32), np.zeros(photo.shape[1:], np.bool_))
-            for photo in photos]
+    maps = [(np.zeros(photo.shape[1:], np.float32), np.zeros(photo.shape[1:], np.bool_)) for photo in photos]
 
     def launch(number: int, compared: Compared) -> tuple[Array, ...]:
         planes = between[number]
         return sweep(compared, (1 / planes[1], 1 / planes[0]), PLANES) if planes else ()
 
-    for number, found in _compared(device, sources, views, lambda number: _grey(photos[number]),
-                                   launch):
+    for number, found in _compared(device, sources, views, lambda number: _grey(photos[number]), launch):
         if found:
             inverse, score = found
             maps[number] = np.maximum(inverse, 0), score > LEAST_SCORE
@@ -167,10 +177,13 @@ def _depth_maps(device: Device, sources: Sequence[Sequence[int]], views: Sequenc
     return maps
 
 
-def _compared(device: Device, sources: Sequence[Sequence[int]], views: Sequence[View],
-              image_of: Callable[[int], NDArray[np.floating]],
-              launch: Callable[[int, Compared], Sequence[Array]]
-              ) -> Iterator[tuple[int, list[NDArray[Any]]]]:
+def _compared(
+    device: Device,
+    sources: Sequence[Sequence[int]],
+    views: Sequence[View],
+    image_of: Callable[[int], NDArray[np.floating]],
+    launch: Callable[[int, Compared], Sequence[Array]],
+) -> Iterator[tuple[int, list[NDArray[Any]]]]:
     """The index of each view, and on the host what `launch` leaves for it [h, w], which is called
     for views with sources; images [h, w] of BATCH views and their sources are on the device at a
     time. The next view is launched before the host waits for one: the device always has work."""
@@ -179,7 +192,7 @@ def _compared(device: Device, sources: Sequence[Sequence[int]], views: Sequence[
     def next_one() -> tuple[int, list[NDArray[Any]]]:
         number, readings = ahead.popleft()
         camera = views[number].camera
-        return number, [reading.values()[:camera.height, :camera.width] for reading in readings]
+        return number, [reading.values()[: camera.height, : camera.width] for reading in readings]
 
     for first in range(0, len(sources), BATCH):
         some = range(first, min(first + BATCH, len(sources)))
@@ -187,9 +200,12 @@ def _compared(device: Device, sources: Sequence[Sequence[int]], views: Sequence[
         images, sizes = device_images(device, [image_of(number) for number in together])
         cameras = [views[number].camera for number in together]
         # of all views before the first launch, for which their upload would wait
-        compared = [Compared.of(images, sizes, cameras, together.index(number),
-                                [together.index(source) for source in sources[number]])
-                    for number in some]
+        compared = [
+            Compared.of(
+                images, sizes, cameras, together.index(number), [together.index(source) for source in sources[number]]
+            )
+            for number in some
+        ]
         for number, each in zip(some, compared):
             arrays = launch(number, each) if sources[number] else ()
             ahead.append((number, [Reading(array) for array in arrays]))
@@ -206,8 +222,9 @@ def _grey(photo: NDArray[np.uint8]) -> Floats:
     return grey
 
 
-def _confirmed(device: Device, sources: Sequence[Sequence[int]], views: Sequence[View],
-               maps: Sequence[DepthMap]) -> Iterator[NDArray[np.float32]]:
+def _confirmed(
+    device: Device, sources: Sequence[Sequence[int]], views: Sequence[View], maps: Sequence[DepthMap]
+) -> Iterator[NDArray[np.float32]]:
     """For each view the inverse depths of the pixels that become points [h, w], or 0: they look
     alike in two sources, and enough sources confirm their depth."""
 
@@ -226,15 +243,14 @@ def _points_of(view: View, photo: NDArray[np.uint8], inverse: NDArray[np.float32
     camera = view.camera
     row, column = np.nonzero(inverse)
     z = 1 / inverse[row, column].astype(np.float64)
-    x, y = ((place + 0.5 - centre) / focal for place, centre, focal
-            in zip((column, row), camera.centre, camera.focal))
+    x, y = ((place + 0.5 - centre) / focal for place, centre, focal in zip((column, row), camera.centre, camera.focal))
     world = (np.stack([x * z, y * z, z], axis=1) - camera.translation) @ camera.rotation
-    return Points(world, photo[:3, row, column].T.astype(np.float64), z / np.mean(camera.focal),
-                  np.ones(len(z), int))
+    return Points(world, photo[:3, row, column].T.astype(np.float64), z / np.mean(camera.focal), np.ones(len(z), int))
 
 
-def _sparse(scene: Scene, views: Sequence[View], points: Floats, point: NDArray[np.integer],
-            seen_by: NDArray[np.integer]) -> Points:
+def _sparse(
+    scene: Scene, views: Sequence[View], points: Floats, point: NDArray[np.integer], seen_by: NDArray[np.integer]
+) -> Points:
     """The sparse points; for the other arguments see `visibility`."""
     sizes = np.full(len(scene.points), np.inf)
     if len(points) == len(scene.points):  # not a sample of them
@@ -243,8 +259,7 @@ def _sparse(scene: Scene, views: Sequence[View], points: Floats, point: NDArray[
             np.minimum.at(sizes, seen, np.maximum(depth, 0) / np.mean(view.camera.focal))
     known = np.isfinite(sizes) & (sizes > 0)
     sizes[~known] = np.median(sizes[known]) if known.any() else 1.0
-    return Points(scene.points, scene.colours.astype(np.float64), sizes,
-                  np.full(len(scene.points), SPARSE))
+    return Points(scene.points, scene.colours.astype(np.float64), sizes, np.full(len(scene.points), SPARSE))
 
 
 def merge(points: Points, most: int) -> tuple[Points, float]:
@@ -309,8 +324,7 @@ def _means(points: Points, of: NDArray[np.int64], total: NDArray[np.number]) -> 
     def mean(values: Floats) -> Floats:
         return np.stack([np.bincount(of, weights * column) / total for column in values.T], axis=1)
 
-    return Points(mean(points.positions), mean(points.colours), mean(points.sizes[:, None])[:, 0],
-                  total.astype(int))
+    return Points(mean(points.positions), mean(points.colours), mean(points.sizes[:, None])[:, 0], total.astype(int))
 
 
 def _cells(points: Points, pixels: float) -> Cells:

@@ -13,16 +13,38 @@ from clsplat.camera import Camera
 from clsplat.device import Array, Device, Kernel, items
 
 SWEEP = Kernel(
-    "sweep.cl", "sweep", items("width height", "SCAN_GROUP"), width="int", height="int",
-    reference="int", source_count="int", planes="int", first="real", spacing="real",
-    images=("real", "V", "H", "W", 2), sizes=("int", "V", 2), sources=("int", "S"),
+    "sweep.cl",
+    "sweep",
+    items("width height", "SCAN_GROUP"),
+    width="int",
+    height="int",
+    reference="int",
+    source_count="int",
+    planes="int",
+    first="real",
+    spacing="real",
+    images=("real", "V", "H", "W", 2),
+    sizes=("int", "V", 2),
+    sources=("int", "S"),
     warps=("real", "S", 12),
-    inverse_depths=("real", "H", "W"), scores=("real", "H", "W"))
+    inverse_depths=("real", "H", "W"),
+    scores=("real", "H", "W"),
+)
 CONFIRM = Kernel(
-    "sweep.cl", "confirm", items("width height", "SCAN_GROUP"), width="int", height="int",
-    reference="int", source_count="int", same_depth="real",
-    images=("real", "V", "H", "W", 2), sizes=("int", "V", 2), sources=("int", "S"),
-    warps=("real", "S", 12), confirmed=("uint", "H", "W"))
+    "sweep.cl",
+    "confirm",
+    items("width height", "SCAN_GROUP"),
+    width="int",
+    height="int",
+    reference="int",
+    source_count="int",
+    same_depth="real",
+    images=("real", "V", "H", "W", 2),
+    sizes=("int", "V", 2),
+    sources=("int", "S"),
+    warps=("real", "S", 12),
+    confirmed=("uint", "H", "W"),
+)
 
 
 class Compared(NamedTuple):
@@ -36,17 +58,16 @@ class Compared(NamedTuple):
     warps: Array  # real[S, 12], `plane_warp` of each
 
     @classmethod
-    def of(cls, images: Array, sizes: Array, cameras: Sequence[Camera], reference: int,
-           sources: Sequence[int]) -> Compared:
+    def of(
+        cls, images: Array, sizes: Array, cameras: Sequence[Camera], reference: int, sources: Sequence[int]
+    ) -> Compared:
         """The photo `reference` with `sources`; `cameras` are those of all photos."""
         warps = [plane_warp(cameras[reference], cameras[source]) for source in sources]
         upload = images.device.upload
-        return cls(images, sizes, reference, upload(np.array(sources, np.int32)),
-                   upload(np.array(warps)))
+        return cls(images, sizes, reference, upload(np.array(sources, np.int32)), upload(np.array(warps)))
 
 
-def sweep(compared: Compared, inverse_depths: tuple[float, float], planes: int
-          ) -> tuple[Array, Array]:
+def sweep(compared: Compared, inverse_depths: tuple[float, float], planes: int) -> tuple[Array, Array]:
     """The inverse depth of each pixel of a reference, real[H, W], 1 / world unit, and how alike its
     window looks in at least two sources, real[H, W], from -1 to 1; 0 where there is none.
 
@@ -57,9 +78,17 @@ def sweep(compared: Compared, inverse_depths: tuple[float, float], planes: int
     first, last = inverse_depths
     found = device.empty((height, width)), device.empty((height, width))
     device.launch(
-        SWEEP, width=width, height=height, source_count=len(compared.sources), planes=planes,
-        first=first, spacing=(last - first) / (planes - 1), **compared._asdict(),
-        inverse_depths=found[0], scores=found[1])
+        SWEEP,
+        width=width,
+        height=height,
+        source_count=len(compared.sources),
+        planes=planes,
+        first=first,
+        spacing=(last - first) / (planes - 1),
+        **compared._asdict(),
+        inverse_depths=found[0],
+        scores=found[1],
+    )
     return found
 
 
@@ -71,8 +100,15 @@ def confirm(compared: Compared, same_depth: float) -> Array:
     """
     device, (_, height, width, _) = compared.images.device, compared.images.shape
     confirmed = device.empty((height, width), np.uint32)
-    device.launch(CONFIRM, width=width, height=height, source_count=len(compared.sources),
-                  same_depth=same_depth, **compared._asdict(), confirmed=confirmed)
+    device.launch(
+        CONFIRM,
+        width=width,
+        height=height,
+        source_count=len(compared.sources),
+        same_depth=same_depth,
+        **compared._asdict(),
+        confirmed=confirmed,
+    )
     return confirmed
 
 
@@ -83,9 +119,9 @@ def plane_warp(reference: Camera, source: Camera, first_centre: float = 0.5) -> 
     turn = source.rotation @ reference.rotation.T
     shift = source.translation - turn @ reference.translation
     matrix = _intrinsics(source, first_centre)
-    return np.concatenate([
-        (matrix @ turn @ np.linalg.inv(_intrinsics(reference, first_centre))).ravel(),
-        matrix @ shift])
+    return np.concatenate(
+        [(matrix @ turn @ np.linalg.inv(_intrinsics(reference, first_centre))).ravel(), matrix @ shift]
+    )
 
 
 def _intrinsics(camera: Camera, first_centre: float) -> NDArray[np.float64]:
@@ -100,5 +136,5 @@ def device_images(device: Device, photos: Sequence[NDArray[np.floating]]) -> tup
     width, height = sizes.max(axis=0)
     images = np.full((len(photos), height, width, 2), np.nan, device.real)
     for image, photo, (w, h) in zip(images, photos, sizes):
-        image[:h, :w, 0], image[:h, :w - 1, 1] = photo, photo[:, 1:]
+        image[:h, :w, 0], image[:h, : w - 1, 1] = photo, photo[:, 1:]
     return device.upload(images), device.upload(sizes)

@@ -44,11 +44,10 @@ MOST_OVERHEAD = 0.5  # share of the budget that all but training may take
 def evaluation_seconds(session: Session) -> float:
     """Seconds of an evaluation, measured on as many views as are scored at the same time."""
     seconds, views = 0.0, session.test_views
-    some = views[:scored_at_once(views)]
+    some = views[: scored_at_once(views)]
     for measured in (some[:1], some) if some else ():  # the first compiles
         begin = time.perf_counter()
-        evaluate_views(CurrentRenderer(session.renderer), session.model,
-                       session.options.sh_degree, measured)
+        evaluate_views(CurrentRenderer(session.renderer), session.model, session.options.sh_degree, measured)
         seconds = time.perf_counter() - begin
     return seconds * len(views) / max(1, len(some))
 
@@ -84,7 +83,8 @@ class Deadline:
             least = math.ceil(1.1 * needed / MOST_OVERHEAD)  # the next try may measure more
             raise InputError(
                 f"--time-budget {seconds:g}s: reading the photos, evaluating and saving once take "
-                f"{needed:.1f} s here; give at least {least}s")
+                f"{needed:.1f} s here; give at least {least}s"
+            )
         wanted = EVALUATIONS if is_auto(session.options.eval_every) else 1
         affordable = EVALUATION_SHARE * seconds / max(evaluation, 1e-9)
         self._evaluations = max(1, int(min(wanted, affordable)))
@@ -120,8 +120,11 @@ class Deadline:
             self._last_level = level
         if self._last_level is not None:
             return replace(plan, level=self._last_level, grows=False, resets_opacity=False)
-        return replace(plan, grows=plan.grows and left >= GROWTH_RECOVERY,
-                       resets_opacity=plan.resets_opacity and left >= RESET_RECOVERY)
+        return replace(
+            plan,
+            grows=plan.grows and left >= GROWTH_RECOVERY,
+            resets_opacity=plan.resets_opacity and left >= RESET_RECOVERY,
+        )
 
     def estimate(self) -> None:
         """Fit the schedule to the time left, if an estimate is due."""
@@ -158,8 +161,12 @@ class Deadline:
         """Seconds to reserve for evaluations to come, files and the page."""
         # also of the gaussians that have not entered yet (parts/entering_points.py)
         count = max(self.session.step.count, self.session.schedule.facts.count)
-        return (self._evaluation * (1 + self._pending) + self._saved_bytes(count) / self._rate
-                + REPORT_SECONDS + RESERVE_SHARE * self._seconds)
+        return (
+            self._evaluation * (1 + self._pending)
+            + self._saved_bytes(count) / self._rate
+            + REPORT_SECONDS
+            + RESERVE_SHARE * self._seconds
+        )
 
     def _saved_bytes(self, count: int) -> int:
         return checkpoint_bytes(count, self.session.options.sh_degree)
@@ -174,9 +181,13 @@ class Deadline:
 
     def state(self) -> dict[str, Any]:
         """State for a checkpoint, of types that JSON has."""
-        return {"step_seconds": list(self._step_seconds.items()), "rate": self._rate,
-                "change_seconds": self._change_seconds, "last_level": self._last_level,
-                "iterations": self.session.options.iterations}
+        return {
+            "step_seconds": list(self._step_seconds.items()),
+            "rate": self._rate,
+            "change_seconds": self._change_seconds,
+            "last_level": self._last_level,
+            "iterations": self.session.options.iterations,
+        }
 
     def load(self, state: dict[str, Any]) -> None:
         """Restore what `state` returned."""

@@ -43,10 +43,11 @@ class FrameCapacity:
         if self._needed(width, height) > limit:
             most = self._most_tiles[width, height]
             bands = choose_bands(most, limit)
-            pairs = max(int(most[band.start:band.stop].sum()) for band in bands if band)
+            pairs = max(int(most[band.start : band.stop].sum()) for band in bands if band)
             return Room(visible, _pairs_room(pairs, len(most), limit), bands)
-        pairs = max(most for most in (self._expected_pairs, *self._most_pairs.values())
-                    if most <= limit)  # sizes that need no bands have room for as many
+        pairs = max(
+            most for most in (self._expected_pairs, *self._most_pairs.values()) if most <= limit
+        )  # sizes that need no bands have room for as many
         tiles = max(map(len, self._most_tiles.values()), default=0)
         return Room(visible, _pairs_room(pairs, tiles, limit))
 
@@ -56,15 +57,20 @@ class FrameCapacity:
         visible, tiles = self.renderer.measure(rows, camera, width, height)
         self._most_tiles[size] = np.maximum(tiles, self._most_tiles.get(size, tiles))
         self._most_visible = max(self._most_visible, visible)
-        self._most_pairs[size] = max(self._most_pairs.get(size, self._expected_pairs),
-                                     int(tiles.sum()))
+        self._most_pairs[size] = max(self._most_pairs.get(size, self._expected_pairs), int(tiles.sum()))
 
     def _needed(self, width: int, height: int) -> int:
         """The most pairs of a frame of the size, or where none was measured of those that are at
         least as large; 0: there is none."""
-        return self._most_pairs.get((width, height), max([self._expected_pairs, *(
-            most for known, most in self._most_pairs.items()
-            if math.prod(known) >= width * height)]))
+        return self._most_pairs.get(
+            (width, height),
+            max(
+                [
+                    self._expected_pairs,
+                    *(most for known, most in self._most_pairs.items() if math.prod(known) >= width * height),
+                ]
+            ),
+        )
 
 
 def _pairs_room(most: int, tiles: int, limit: int) -> int:

@@ -31,8 +31,9 @@ REALS = (np.float32, np.float64)  # precisions of devices
 class Checkpoint:
     """The checkpoint of a run, from which a session resumes to the same bytes."""
 
-    def __init__(self, run: RunFolder, session: Session, clock: Clock, deadline: Deadline | None,
-                 fingerprint: str) -> None:
+    def __init__(
+        self, run: RunFolder, session: Session, clock: Clock, deadline: Deadline | None, fingerprint: str
+    ) -> None:
         self.run, self.session, self.clock = run, session, clock
         self.deadline, self.fingerprint = deadline, fingerprint
 
@@ -43,20 +44,28 @@ class Checkpoint:
         model, statistics = step.model, step.statistics
         rows = self.run.saved_rows(session.iteration, lambda: model.field("positions"))
         m, v = model.adam.download(rows)
-        kinds = {"row": model.stored(rows), "m": m, "v": v, "adam": model.adam.lag(),
-                 "statistics": {name: download_rows(session.device, getattr(statistics, name), rows)
-                                for name in STATISTICS},
-                 **{part.name: part.state() for part in session.parts}}
-        arrays = {f"{kind}.{name}": values for kind, fields in kinds.items()
-                  for name, values in fields.items()}
+        kinds = {
+            "row": model.stored(rows),
+            "m": m,
+            "v": v,
+            "adam": model.adam.lag(),
+            "statistics": {name: download_rows(session.device, getattr(statistics, name), rows) for name in STATISTICS},
+            **{part.name: part.state() for part in session.parts},
+        }
+        arrays = {f"{kind}.{name}": values for kind, fields in kinds.items() for name, values in fields.items()}
         self._check(arrays)
         skipped = step.skipped_before + step.skipped()[0]
         state = {
-            "fingerprint": self.fingerprint, "iteration": session.iteration,
-            "level": session.level, **self.clock.state(), "pixel_pairs": step.pixel_pairs,
+            "fingerprint": self.fingerprint,
+            "iteration": session.iteration,
+            "level": session.level,
+            **self.clock.state(),
+            "pixel_pairs": step.pixel_pairs,
             "schedule": session.schedule.state(),
-            "skipped": {"total": skipped}, "initial_count": session.schedule.facts.count,
-            "budget": self.deadline and self.deadline.state()}
+            "skipped": {"total": skipped},
+            "initial_count": session.schedule.facts.count,
+            "budget": self.deadline and self.deadline.state(),
+        }
         return arrays, state
 
     def expected_seconds(self) -> float:
@@ -79,30 +88,28 @@ class Checkpoint:
 
     def _check(self, arrays: Arrays) -> None:
         if bad := [name for name, values in arrays.items() if not _is_finite(values)]:
-            raise broken(self.run,
-                         f"{', '.join(bad)} at step {self.session.iteration}: not finite")
+            raise broken(self.run, f"{', '.join(bad)} at step {self.session.iteration}: not finite")
 
     def load(self, arrays: Arrays, state: dict[str, Any]) -> None:
         """Restore all but the rows; KeyError names what the checkpoint lacks."""
         session, step = self.session, self.session.step
         known = {*KINDS, *(part.name for part in session.parts)}
         if lacking := sorted({name.partition(".")[0] for name in arrays} - known):
-            raise InputError(f"{self.run.path}: was trained with the part {lacking[0]}; resume it "
-                             "with that too")
+            raise InputError(f"{self.run.path}: was trained with the part {lacking[0]}; resume it with that too")
         session.use_level(state["level"])
         step.model.adam.upload(_fields(arrays, "m", LEARNED), _fields(arrays, "v", LEARNED))
-        step.model.adam.load_lag({name: arrays[f"adam.{name}"] for name in LAG},
-                                 state["iteration"])
+        step.model.adam.load_lag({name: arrays[f"adam.{name}"] for name in LAG}, state["iteration"])
         for name in STATISTICS:
             getattr(step.statistics, name).write(arrays[f"statistics.{name}"])
         for part in session.parts:
-            part.load({name.partition(".")[2]: values for name, values in arrays.items()
-                       if name.startswith(f"{part.name}.")}, session)
+            part.load(
+                {name.partition(".")[2]: values for name, values in arrays.items() if name.startswith(f"{part.name}.")},
+                session,
+            )
         step.skipped_before = state["skipped"]["total"]
         step.pairs_before, session.iteration = state["pixel_pairs"], state["iteration"]
         self.clock.load(state)
-        session.schedule.facts = dataclasses.replace(
-            session.schedule.facts, count=state["initial_count"])
+        session.schedule.facts = dataclasses.replace(session.schedule.facts, count=state["initial_count"])
         session.schedule.load(state["schedule"])
         if self.deadline:
             self.deadline.load(state["budget"])
@@ -122,8 +129,7 @@ def saved_gaussians(run: RunFolder, record: dict[str, Any], arrays: Arrays) -> G
 
 def damaged(run: RunFolder, error: Exception) -> InputError:
     """The InputError of a checkpoint that lacks something."""
-    return InputError(f"{run.path}: its checkpoint lacks a good {error}; start again with "
-                      "--overwrite")
+    return InputError(f"{run.path}: its checkpoint lacks a good {error}; start again with --overwrite")
 
 
 def latest_model(run: RunFolder) -> Gaussians:
@@ -136,18 +142,21 @@ def latest_model(run: RunFolder) -> Gaussians:
     try:
         return gaussians.scaled(float(record["extent"])).located(record["offset"])
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{run.path}: options.json is damaged ({reason(error)}); start again with "
-                         "overwrite=True") from None
+        raise InputError(
+            f"{run.path}: options.json is damaged ({reason(error)}); start again with overwrite=True"
+        ) from None
 
 
-def check_arrays(arrays: Arrays, sh_degree: int, kinds: Collection[str] = BY_GAUSSIAN
-                 ) -> None:
+def check_arrays(arrays: Arrays, sh_degree: int, kinds: Collection[str] = BY_GAUSSIAN) -> None:
     """Check arrays of a checkpoint that have a row a gaussian: KeyError names one of these kinds
     that is missing, ValueError one that does not fit. Statistics tell how many there are."""
     count = arrays["statistics.seen_count"].size
-    shapes = {f"{kind}.{field.name}": field.row_shape(sh_degree)
-              for kind in kinds for field in FIELDS
-              if field in LEARNED or kind == "row" and f"row.{field.name}" in arrays}
+    shapes = {
+        f"{kind}.{field.name}": field.row_shape(sh_degree)
+        for kind in kinds
+        for field in FIELDS
+        if field in LEARNED or kind == "row" and f"row.{field.name}" in arrays
+    }
     for name, shape in {**shapes, "statistics.grad_norm_sum": ()}.items():
         values = arrays[name]
         if values.dtype not in REALS or values.shape != (count, *shape) or not _is_finite(values):

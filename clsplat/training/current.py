@@ -17,9 +17,21 @@ class CurrentRenderer:
         """See `Renderer.pack`."""
         return self.renderer.pack(camera)
 
-    def render(self, model: Model, camera: Array, width: int, height: int, sh_degree: int, /,
-               with_depth: bool = False, *, depth_percent: int = 0) -> Frame:
+    def render(
+        self,
+        model: Model,
+        camera: Array,
+        width: int,
+        height: int,
+        sh_degree: int,
+        /,
+        with_depth: bool = False,
+        *,
+        depth_percent: int = 0,
+    ) -> Frame:
         """See `Renderer.render`."""
-        return model.within(lambda: self.renderer.render(
-            model.seen(camera), camera, width, height, sh_degree, with_depth,
-            depth_percent=depth_percent))
+        return model.within(
+            lambda: self.renderer.render(
+                model.seen(camera), camera, width, height, sh_degree, with_depth, depth_percent=depth_percent
+            )
+        )

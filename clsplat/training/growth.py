@@ -16,8 +16,9 @@ ScoringViews = Callable[[], list[ViewPass]]
 Cameras = Callable[[], Iterable[SizedCamera]]
 
 
-def densify(step: Step, iteration: int, plan: Plan, schedule: Schedule,
-            scoring_views: ScoringViews, cameras: Cameras) -> dict[str, int] | None:
+def densify(
+    step: Step, iteration: int, plan: Plan, schedule: Schedule, scoring_views: ScoringViews, cameras: Cameras
+) -> dict[str, int] | None:
     """Do the round of growth and the opacity reset that follow a step.
 
     `scoring_views` returns some training views, and `cameras` those of all, for a schedule that
@@ -29,8 +30,9 @@ def densify(step: Step, iteration: int, plan: Plan, schedule: Schedule,
     return event
 
 
-def grow(step: Step, iteration: int, plan: Plan, schedule: Schedule, scoring_views: ScoringViews,
-         cameras: Cameras) -> dict[str, int]:
+def grow(
+    step: Step, iteration: int, plan: Plan, schedule: Schedule, scoring_views: ScoringViews, cameras: Cameras
+) -> dict[str, int]:
     """A round of growth; arguments and result as for `densify`."""
     step.release()  # what follows renders frames of other sizes
     renderer, model, options = step.renderer, step.model, step.options
@@ -39,14 +41,26 @@ def grow(step: Step, iteration: int, plan: Plan, schedule: Schedule, scoring_vie
         model.pages.leave()
     step.rows_changed()
     frozen = np.zeros(model.count, bool) if model.frozen is None else model.frozen.download() > 0
-    rows = {field.name: model.rows[field.name].download() for field in FIELDS
-            if field.name in model.rows and not field.name.startswith("sh_")}
-    growth = schedule.grow(Round(
-        iteration, rows, step.extent, options, plan.prunes_large, frozen,
-        step.statistics.mean_gradient, lambda gradient: taming_scores(
-            renderer, model.rows, scoring_views(), plan.degree, options.ssim_weight, gradient,
-            model.seen),
-        lambda: blending_weights(renderer, model.rows, cameras())))
+    rows = {
+        field.name: model.rows[field.name].download()
+        for field in FIELDS
+        if field.name in model.rows and not field.name.startswith("sh_")
+    }
+    growth = schedule.grow(
+        Round(
+            iteration,
+            rows,
+            step.extent,
+            options,
+            plan.prunes_large,
+            frozen,
+            step.statistics.mean_gradient,
+            lambda gradient: taming_scores(
+                renderer, model.rows, scoring_views(), plan.degree, options.ssim_weight, gradient, model.seen
+            ),
+            lambda: blending_weights(renderer, model.rows, cameras()),
+        )
+    )
     step.replace_rows(growth)
     step.choose_room(True)
     return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}

@@ -34,8 +34,11 @@ def handled_interrupts() -> Iterator[Interrupts]:
     handler, before = Interrupts(), {}
     if threading.current_thread() is threading.main_thread():
         numbers = [getattr(signal, name) for name in SIGNALS if hasattr(signal, name)]
-        before = {number: signal.signal(number, handler) for number in numbers
-                  if signal.getsignal(number) is not signal.SIG_IGN}
+        before = {
+            number: signal.signal(number, handler)
+            for number in numbers
+            if signal.getsignal(number) is not signal.SIG_IGN
+        }
     try:
         yield handler
     finally:
@@ -61,5 +64,4 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
 
 def was_interrupted(error: BaseException) -> bool:
     """Whether Ctrl-C caused an exception, even if C code replaced the KeyboardInterrupt."""
-    return isinstance(error, KeyboardInterrupt) or bool(
-        getattr(signal.getsignal(signal.SIGINT), "received", ()))
+    return isinstance(error, KeyboardInterrupt) or bool(getattr(signal.getsignal(signal.SIGINT), "received", ()))

@@ -54,10 +54,19 @@ class Training:
     """Runs a session to its end; arguments as for `train`, with gaussians and level of a resumed
     run. `recorded` : whether the run folder contains this run."""
 
-    def __init__(self, scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
-                 progress: SilentProgress | None = None, gaussians: Gaussians | None = None,
-                 callbacks: Iterable[Callback] = (), watcher: Watcher | None = None,
-                 level: float = 0.0, parts: Iterable[Part] = ()) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        options: TrainOptions,
+        device: Device,
+        run: RunFolder,
+        progress: SilentProgress | None = None,
+        gaussians: Gaussians | None = None,
+        callbacks: Iterable[Callback] = (),
+        watcher: Watcher | None = None,
+        level: float = 0.0,
+        parts: Iterable[Part] = (),
+    ) -> None:
         device.peak_bytes = 0  # of this run: a city may train several on one device
         self.recorded = gaussians is not None
         self.is_stage = is_stage(options, parts := tuple(parts))
@@ -72,31 +81,34 @@ class Training:
         self._scene, self.clock = scene, Clock(device)
         progress.phase("planning")
         prepared = prepare(scene, options, device, parts)
-        self.session, self._start_seconds = begin(prepared, device, run.path, progress, gaussians,
-                                                  level)
+        self.session, self._start_seconds = begin(prepared, device, run.path, progress, gaussians, level)
         self.recorder = Recorder(self.session, self.clock, run, progress, callbacks)
         self.evaluator = Evaluator(self.session, self.clock, self.recorder)
-        self.deadline = Deadline(self.session, self.clock, evaluation_seconds(self.session),
-                                 saved_a_second(run.path)) if options.time_budget else None
-        self.checkpoint = Checkpoint(run, self.session, self.clock, self.deadline,
-                                     fingerprint(scene))
+        self.deadline = (
+            Deadline(self.session, self.clock, evaluation_seconds(self.session), saved_a_second(run.path))
+            if options.time_budget
+            else None
+        )
+        self.checkpoint = Checkpoint(run, self.session, self.clock, self.deadline, fingerprint(scene))
         self._measured: list[Measured] = []  # by the latest step
         progress.phase("compiling kernels")  # of the first step
 
     def record(self) -> None:
         """Write the options and the first records of a new run, show its warnings, and begin."""
         session, (scene, options) = self.session, self._given
-        warnings = list(find_warnings(session.scene, session.prepared.thumbnails,
-                                      session.step.count))
+        warnings = list(find_warnings(session.scene, session.prepared.thumbnails, session.step.count))
         session.prepared.thumbnails.forget()
-        self.run.write_options({**dataclasses.asdict(options),
-                                **trained_on(scene, options.init, session.device, self.is_stage),
-                                "decisions": session.decisions.values})
+        self.run.write_options(
+            {
+                **dataclasses.asdict(options),
+                **trained_on(scene, options.init, session.device, self.is_stage),
+                "decisions": session.decisions.values,
+            }
+        )
         write_placement(self.run.path, scene, first_view=True)
         self.recorded = True
         self.clock.restart(self._start_seconds)
-        self.recorder.log("plan", reasons=session.decisions.reasons,
-                          levels=session.schedule.levels)
+        self.recorder.log("plan", reasons=session.decisions.reasons, levels=session.schedule.levels)
         for text in warnings:
             self.recorder.log("warning", text=text)
             self.progress.message(f"{WARNING}{text}")
@@ -160,8 +172,7 @@ class Training:
         try:
             yield
         except (Exception, KeyboardInterrupt) as error:
-            if isinstance(error, ClsplatError) or not (
-                    self.recorded and was_interrupted(error)):
+            if isinstance(error, ClsplatError) or not (self.recorded and was_interrupted(error)):
                 raise
             raise self.stopped() from None
         finally:
@@ -171,12 +182,17 @@ class Training:
     def stopped(self) -> Interrupted:
         """The Interrupted of a run that can be resumed, from the checkpoint that there is."""
         step, saved = self.session.iteration, self.run.checkpoint_iteration()
-        kept = ("; go on with" if saved == step else
-                f", and saved at step {saved}; go on with" if saved else
-                ", before its first checkpoint; to begin again")
-        return Interrupted(f"stopped after step {step}{kept}: clsplat train --resume -o "
-                           f"{shlex.quote(str(self.run.path))}",
-                           self.stops() and self.recorder.failure is None)
+        kept = (
+            "; go on with"
+            if saved == step
+            else f", and saved at step {saved}; go on with"
+            if saved
+            else ", before its first checkpoint; to begin again"
+        )
+        return Interrupted(
+            f"stopped after step {step}{kept}: clsplat train --resume -o {shlex.quote(str(self.run.path))}",
+            self.stops() and self.recorder.failure is None,
+        )
 
     def finished(self) -> bool:
         """Whether all steps are taken, or the time is over."""
@@ -184,8 +200,7 @@ class Training:
 
     def stops(self) -> bool:
         """Whether an option or a callback stops this process."""
-        return (0 < self.session.options.stop_at <= self.session.iteration
-                or self.recorder.stop)
+        return 0 < self.session.options.stop_at <= self.session.iteration or self.recorder.stop
 
     def take_step(self) -> None:
         """Take one step with all that follows it, a checkpoint that is due included."""
@@ -203,12 +218,14 @@ class Training:
             session.recentre()
         self._measured = step.run(iteration, plan, session.samples(plan), session.upcoming)
         self.progress.phase(training_at(plan.level))
-        grown = densify(step, iteration, plan, session.schedule, session.scoring_views,
-                        session.sized_cameras)
+        grown = densify(step, iteration, plan, session.schedule, session.scoring_views, session.sized_cameras)
         session.iteration = iteration
         if not step.count:
-            raise broken(self.run, f"all gaussians were pruned after step {iteration}",
-                         "lower prune_opacity, or allow larger prune_size or sphere_reach")
+            raise broken(
+                self.run,
+                f"all gaussians were pruned after step {iteration}",
+                "lower prune_opacity, or allow larger prune_size or sphere_reach",
+            )
         if grown:
             self.recorder.log("grow", **grown)
         if plan.resets_opacity:
@@ -307,17 +324,25 @@ class Training:
         for part in session.parts:
             part.write(run, session)
         gaussians = session.model.download().scaled(session.scene.unit)
-        comments = (*start_comment(str(run.read_options().get(START, ""))),
-                    f"iterations {session.iteration}", mode_comment(session.options.antialiased),
-                    *placement_comments(session.scene.up, session.scene.georeference))
+        comments = (
+            *start_comment(str(run.read_options().get(START, ""))),
+            f"iterations {session.iteration}",
+            mode_comment(session.options.antialiased),
+            *placement_comments(session.scene.up, session.scene.georeference),
+        )
         return gaussians, session.scene.offset, comments
 
     def _pictures(self) -> Pictures:
         """The pictures of the report."""
         session = self.session
         shown = CurrentRenderer(session.renderer), session.model, session.options.sh_degree
-        return pictures_of(*shown, session.test_views, session.corrected(session.train_views),
-                           self.evaluator.per_view, session.predicted())
+        return pictures_of(
+            *shown,
+            session.test_views,
+            session.corrected(session.train_views),
+            self.evaluator.per_view,
+            session.predicted(),
+        )
 
     @contextmanager
     def _harmless(self, what: str) -> Iterator[None]:
@@ -331,4 +356,8 @@ class Training:
                 raise
             logging.getLogger(__name__).warning(
                 "%s: %s could not be drawn (%s: %s); the model is complete",
-                self.run.path, what, type(error).__name__, reason(error))
+                self.run.path,
+                what,
+                type(error).__name__,
+                reason(error),
+            )

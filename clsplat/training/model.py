@@ -35,8 +35,7 @@ MARGIN = 1.0  # pixels beside an image of which pages are wanted, too
 Adam = DeviceAdam | NumpyAdam
 Result = TypeVar("Result")
 Upcoming = Callable[[int], tuple[int, Array]]  # number of a sample -> its view and packed camera
-ENGINES: dict[str, type[Adam]] = {
-    "device": DeviceAdam, "coded": CodedAdam, "numpy": NumpyAdam}
+ENGINES: dict[str, type[Adam]] = {"device": DeviceAdam, "coded": CodedAdam, "numpy": NumpyAdam}
 
 
 class Model:
@@ -48,8 +47,9 @@ class Model:
     `layout` is another object after each change of the number of gaussians.
     """
 
-    def __init__(self, device: Device, gaussians: Gaussians, engine: str = "device",
-                 folder: Path | None = None) -> None:
+    def __init__(
+        self, device: Device, gaussians: Gaussians, engine: str = "device", folder: Path | None = None
+    ) -> None:
         self._folder = folder
         self.device, self.sh_degree = device, gaussians.sh_degree
         self.frozen: Array | None = None  # uint[count], not 0 for those that are not trained
@@ -62,20 +62,34 @@ class Model:
         self._foreseen: deque[tuple[int, int, Reading]] = deque()
         kind, fields = ENGINES[engine], dict(gaussians.rows)
         needed = model_bytes(device, self.sh_degree, self.count, engine)
-        if issubclass(kind, DeviceAdam) and gaussians.sh_degree and (
-                needed > self._free_bytes() or not self._fits_buffer(self.count)):
+        if (
+            issubclass(kind, DeviceAdam)
+            and gaussians.sh_degree
+            and (needed > self._free_bytes() or not self._fits_buffer(self.count))
+        ):
             rest = fields.pop("sh_rest")
-            self.pages = self._make_pages(gaussians.positions, rest, {
-                name: np.zeros((self.count, rest[0].size), dtype or device.real)
-                for name, dtype in zip(MOMENTS_OF_REST, kind.STORED.dtypes)})
+            self.pages = self._make_pages(
+                gaussians.positions,
+                rest,
+                {
+                    name: np.zeros((self.count, rest[0].size), dtype or device.real)
+                    for name, dtype in zip(MOMENTS_OF_REST, kind.STORED.dtypes)
+                },
+            )
         self._arrays = {name: device.upload(values) for name, values in fields.items()}
-        self.adam: Adam = (kind(device, self.learned, self.pages) if issubclass(kind, DeviceAdam)
-                           else kind(device, self.learned))
+        self.adam: Adam = (
+            kind(device, self.learned, self.pages) if issubclass(kind, DeviceAdam) else kind(device, self.learned)
+        )
 
-    def _make_pages(self, positions: NDArray[np.floating], sh_rest: NDArray[np.floating],
-                    moments: dict[str, NDArray[Any]]) -> Pages:
-        store = PageStore(positions, {"sh_rest": sh_rest.astype(self.device.real), **moments},
-                          self._folder, lambda words: pinned(self.device, (words,)))
+    def _make_pages(
+        self, positions: NDArray[np.floating], sh_rest: NDArray[np.floating], moments: dict[str, NDArray[Any]]
+    ) -> Pages:
+        store = PageStore(
+            positions,
+            {"sh_rest": sh_rest.astype(self.device.real), **moments},
+            self._folder,
+            lambda words: pinned(self.device, (words,)),
+        )
         return Pages(self.device, store, self._free_bytes)
 
     def _free_bytes(self) -> int:
@@ -102,8 +116,12 @@ class Model:
         """
         if self.pages is None:
             return dict(self._arrays)
-        return {**self._arrays, "sh_rest": self.pages.arrays["sh_rest"],
-                "places": self.pages.places, "slots": self.pages.slots}
+        return {
+            **self._arrays,
+            "sh_rest": self.pages.arrays["sh_rest"],
+            "places": self.pages.places,
+            "slots": self.pages.slots,
+        }
 
     @property
     def memory(self) -> object:
@@ -138,8 +156,11 @@ class Model:
         chosen = compact(self.device, flags, new_counts(self.device))
         if not self.pages or not wanted.any():
             return self.adam.current(self.learned, chosen, self.frozen)
-        found = {name: self.device.empty((len(chosen), *array.shape[1:]))
-                 for name, array in self.learned.items() if name not in ("places", "slots")}
+        found = {
+            name: self.device.empty((len(chosen), *array.shape[1:]))
+            for name, array in self.learned.items()
+            if name not in ("places", "slots")
+        }
         for index, rows in self.pages.rounds_of(chosen.download()):
             current = self.adam.current(self.learned, self.device.upload(rows), self.frozen)
             for name, array in current.items():
@@ -157,8 +178,9 @@ class Model:
                 current = self.adam.current(self.learned, self.device.upload(chosen), self.frozen)
                 for name, array in current.items():
                     rows[name][chosen] = array.download()
-        return Gaussians({name: rows[name] for name in
-                          (field.name for field in FIELDS) if name in rows}, self.sh_degree)
+        return Gaussians(
+            {name: rows[name] for name in (field.name for field in FIELDS) if name in rows}, self.sh_degree
+        )
 
     def _chunks(self) -> Iterator[NDArray[np.uint32]]:
         """All rows, some at a time, of which the harmonics are on the device then."""
@@ -228,8 +250,9 @@ class Model:
         self.device.trim()  # frames of another number of gaussians need other sizes
         if self.pages:
             self.pages.leave()
-        elif self._can_be_paged() and (self._regrown_bytes(old) > self._free_bytes()
-                                       or not self._fits_buffer(self.count)):
+        elif self._can_be_paged() and (
+            self._regrown_bytes(old) > self._free_bytes() or not self._fits_buffer(self.count)
+        ):
             self._use_pages()
         source = self.device.upload(growth.source)
         for name, array in self._arrays.items():
@@ -262,8 +285,7 @@ class Model:
 
     def _regrown_bytes(self, old: int) -> int:
         """How many bytes more are in use while rows are copied, the largest array twice."""
-        before, now = (model_bytes(self.device, self.sh_degree, count, self._engine)
-                       for count in (old, self.count))
+        before, now = (model_bytes(self.device, self.sh_degree, count, self._engine) for count in (old, self.count))
         return max(now - before, 0) + self._arrays["sh_rest"].nbytes
 
     def _use_pages(self) -> None:
@@ -281,7 +303,8 @@ class Model:
     def is_bounded(self) -> bool:
         """Whether memory may lack that the model can give back."""
         return self.pages is not None or (
-            self.device.memory_limit < self.device.handle.global_mem_size and self._can_be_paged())
+            self.device.memory_limit < self.device.handle.global_mem_size and self._can_be_paged()
+        )
 
     def give_back(self) -> None:
         """Give back memory of the device; OutOfDeviceMemory where there is none left."""
@@ -298,17 +321,18 @@ class Model:
         self._spare = SPARE_SHARE
         return self.pages is not None and self.pages.leave_for_more()
 
-    def look_ahead(self, number: int, steps: int, upcoming: Upcoming,
-                   numbers: Mapping[str, float]) -> None:
+    def look_ahead(self, number: int, steps: int, upcoming: Upcoming, numbers: Mapping[str, float]) -> None:
         """Ask which pages a sample will want so many steps later; `numbers` are those of Adam."""
         if not (self.pages and self.pages.room and isinstance(self.adam, DeviceAdam)):
             return
         ahead = steps * numbers["rate_positions"], steps * numbers["rate_log_scales"]
         self._asked[number] = Reading(self._wanted(upcoming(number)[1], ahead))
         asked = {view for _, view, _ in self._foreseen}
-        unknown = {view: camera for view, camera in map(
-            upcoming, range(number + 1, number + FORESEEN))
-            if view not in self._wants and view not in asked}
+        unknown = {
+            view: camera
+            for view, camera in map(upcoming, range(number + 1, number + FORESEEN))
+            if view not in self._wants and view not in asked
+        }
         for view, camera in [*unknown.items()][:FORESEEN_AT_ONCE]:
             self._foreseen.append((number, view, Reading(self._wanted(camera, ahead))))
 
@@ -338,8 +362,7 @@ class Model:
         for number in numbers:
             view, camera = upcoming(number)
             asked = self._asked.get(number)
-            found.append((asked.values() if asked else
-                          self._wanted(camera).download()) > 0)
+            found.append((asked.values() if asked else self._wanted(camera).download()) > 0)
             self._wants[view] = np.packbits(found[-1])
         every: NDArray[np.bool_] = np.logical_or.reduce(found)
         return every
@@ -356,13 +379,11 @@ class Model:
         return found
 
     def _wanted(self, camera: Array, ahead: tuple[float, float] = (0.0, 0.0)) -> Array:
-        """uint[pages], 1 for those of which a camera may see a row; `ahead` as for `seen` of Adam.
-        """
+        """uint[pages], 1 for those of which a camera may see a row; `ahead` as for `seen` of Adam."""
         assert self.pages and isinstance(self.adam, DeviceAdam)
         return self.pages.mark(self.adam.seen(self.rows, camera, self.adam.steps, MARGIN, ahead))
 
-    def require_seen(self, camera: Array, numbers: Mapping[str, float], degree: int, counts: Array,
-                     ends: bool) -> None:
+    def require_seen(self, camera: Array, numbers: Mapping[str, float], degree: int, counts: Array, ends: bool) -> None:
         """Let the frame of `counts` fail where a page that it wants is not there; `numbers` are
         those of Adam for this step, of which this is the last frame if it `ends`."""
         if self.pages and degree and isinstance(self.adam, DeviceAdam):
@@ -373,8 +394,7 @@ class Model:
 def model_bytes(device: Device, sh_degree: int, count: int, engine: str) -> int:
     """Bytes of parameters and moments on a device, with an engine of ENGINES."""
     rows = Model.arrays([field.name for field in LEARNED], sh_degree, count)
-    return sum(spec.nbytes(device.real) for specs in (rows, *ENGINES[engine].arrays(rows))
-               for spec in specs.values())
+    return sum(spec.nbytes(device.real) for specs in (rows, *ENGINES[engine].arrays(rows)) for spec in specs.values())
 
 
 def is_pageable(options: ScheduledOptions) -> bool:

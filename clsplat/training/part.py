@@ -162,8 +162,7 @@ class Part:
         """Whether a training has this part; its options are decided."""
         return True
 
-    def facts(self, facts: SceneFacts, scene: Scene, views: Sequence[View],
-              gaussians: Gaussians | None) -> SceneFacts:
+    def facts(self, facts: SceneFacts, scene: Scene, views: Sequence[View], gaussians: Gaussians | None) -> SceneFacts:
         """Restrict the `facts` for the schedule, of a `scene` and its training `views`, to what is
         trained. `gaussians` are the initial ones; None: they are not known yet."""
         return facts

@@ -63,7 +63,7 @@ def decode(view: View) -> Photo:
     a plane that is 0 there and 255 elsewhere."""
     planes, row = np.empty(photo_array(view).shape, np.uint8), 0
     for band in photo_bands(view):
-        planes[:3, row:row + len(band)] = band.transpose(2, 0, 1)
+        planes[:3, row : row + len(band)] = band.transpose(2, 0, 1)
         row += len(band)
     valid = read_valid(view)
     if valid is None and not view.weighed:
@@ -99,13 +99,14 @@ def reading_bytes(views: Sequence[View]) -> int:
 
 def size_note(views: Sequence[View], options: SceneOptions) -> str | None:
     """A message for the user if --max-resolution makes photos smaller than -r does, or None."""
-    largest = max((view.camera for view in views),
-                  key=lambda camera: max(camera.width, camera.height))
+    largest = max((view.camera for view in views), key=lambda camera: max(camera.width, camera.height))
     small = largest.reduced(options.downscale, options.max_resolution)
     if small.width == largest.reduced(options.downscale).width:
         return None
-    return (f"photos of {largest.width}x{largest.height} are reduced to {small.width}x"
-            f"{small.height}; --max-resolution none keeps their size")
+    return (
+        f"photos of {largest.width}x{largest.height} are reduced to {small.width}x"
+        f"{small.height}; --max-resolution none keeps their size"
+    )
 
 
 def at_level(views: Iterable[View], level: float) -> tuple[View, ...]:
@@ -114,8 +115,7 @@ def at_level(views: Iterable[View], level: float) -> tuple[View, ...]:
 
 
 def with_side(views: Sequence[View], side: float) -> tuple[View, ...]:
-    """The views, all smaller by one factor where a photo's longer side has more than `side` pixels.
-    """
+    """The views, all smaller by one factor where a photo's longer side has more than `side` pixels."""
     longest = max(max(view.camera.width, view.camera.height) for view in views)
     return at_level(views, max(1.0, longest / side))
 
@@ -138,8 +138,7 @@ class Thumbnails:
         `decode` returns them."""
         indices = list(indices)
         small = with_side([self.views[index] for index in indices], SMALL_SIDE)
-        keys = [(index, view.camera.width, view.camera.height)
-                for index, view in zip(indices, small)]
+        keys = [(index, view.camera.width, view.camera.height) for index, view in zip(indices, small)]
         new = {key: view for key, view in zip(keys, small) if key not in self._photos}
         self._photos |= zip(new, decoded(new.values()))
         return small, [self._photos[key] for key in keys]
@@ -164,8 +163,9 @@ class PhotoStore:
     H, W]; `folder` is that of the file, or None for the system's folder for temporary files.
     """
 
-    def __init__(self, sizes: Sequence[int], decode: Callable[[int], Photo], threads: int,
-                 folder: Path | None = None) -> None:
+    def __init__(
+        self, sizes: Sequence[int], decode: Callable[[int], Photo], threads: int, folder: Path | None = None
+    ) -> None:
         ends, self._decode, self._lock = np.cumsum(sizes), decode, Lock()
         self._begins: list[int] = (ends - sizes).tolist()
         self._file: Any = None  # BytesIO, or what TemporaryFile is on this system
@@ -180,7 +180,8 @@ class PhotoStore:
             self.count = 0  # a folder that cannot be written
         self._threads = ThreadPoolExecutor(threads)
         self._shapes: list[Future[tuple[int, ...] | None]] = [
-            self._threads.submit(self._keep, i) for i in range(self.count)]
+            self._threads.submit(self._keep, i) for i in range(self.count)
+        ]
 
     def _keep(self, index: int) -> tuple[int, ...] | None:
         """Decode a photo into the store; returns its shape, or None if that cannot be written."""
@@ -229,8 +230,9 @@ def _photo_bytes(view: View) -> int:
 
 
 def _stored(views: Sequence[View], threads: int, budget: int, folder: Path | None) -> PhotoStore:
-    return PhotoStore(list(map(_photo_bytes, views)), lambda index: decode(views[index]),
-                      _at_once(views, threads, budget), folder)
+    return PhotoStore(
+        list(map(_photo_bytes, views)), lambda index: decode(views[index]), _at_once(views, threads, budget), folder
+    )
 
 
 def begin_photos(device: Device, views: Sequence[View], level: float, folder: Path) -> PhotoStore:
@@ -239,15 +241,15 @@ def begin_photos(device: Device, views: Sequence[View], level: float, folder: Pa
     views = at_level(views, level)
     ends = np.cumsum(list(map(_photo_bytes, views)))
     if ends[-1] <= _budget(device):
-        views = views[:int((ends <= IN_MEMORY_BYTES).sum())]
+        views = views[: int((ends <= IN_MEMORY_BYTES).sum())]
     return _stored(views, THREADS, HOST_BYTES // 2, folder)
 
 
 def begin_checks(views: Sequence[View]) -> PhotoStore:
-    """Begin to decode photos of which nothing is kept: `wait` raises InputError at a damaged one.
-    """
-    return PhotoStore([0] * len(views), lambda index: decode(views[index])[:0],
-                      _at_once(views, THREADS, HOST_BYTES // 2))
+    """Begin to decode photos of which nothing is kept: `wait` raises InputError at a damaged one."""
+    return PhotoStore(
+        [0] * len(views), lambda index: decode(views[index])[:0], _at_once(views, THREADS, HOST_BYTES // 2)
+    )
 
 
 class Photos:
@@ -266,9 +268,16 @@ class Photos:
     the device, and `read_seconds` is the duration of the last change of level.
     """
 
-    def __init__(self, device: Device, views: Sequence[View], levels: Sequence[float] = (1.0,),
-                 budget_bytes: int | None = None, folder: Path | None = None,
-                 level: float = 0.0, begun: tuple[float, PhotoStore] | None = None) -> None:
+    def __init__(
+        self,
+        device: Device,
+        views: Sequence[View],
+        levels: Sequence[float] = (1.0,),
+        budget_bytes: int | None = None,
+        folder: Path | None = None,
+        level: float = 0.0,
+        begun: tuple[float, PhotoStore] | None = None,
+    ) -> None:
         self.device, self._full, self._levels, self.folder = device, views, levels, folder
         self._budget = _budget(device) if budget_bytes is None else budget_bytes
         self._threads = ThreadPoolExecutor(1)
@@ -296,8 +305,7 @@ class Photos:
         self._arrays: list[Array] = []
         if self.resident:
             kept = store.count if store else 0
-            photos = chain(map(store.read, range(kept)) if store else (),
-                           decoded(self.views[kept:]))
+            photos = chain(map(store.read, range(kept)) if store else (), decoded(self.views[kept:]))
             self._arrays = [self.device.upload(photo) for photo in photos]
             if store:
                 store.close()
@@ -305,16 +313,21 @@ class Photos:
             store = store or _stored(self.views, THREADS, HOST_BYTES, self.folder)
             if first:
                 store.wait()
-                for _ in decoded(self.views[store.count:]):
+                for _ in decoded(self.views[store.count :]):
                     pass
             self._stores[level] = store
         if self.ignored is not None:
-            self.ignore([resampled(cells, view.camera.height, view.camera.width)
-                         for cells, view in zip(self.ignored, self.views)])
+            self.ignore(
+                [
+                    resampled(cells, view.camera.height, view.camera.width)
+                    for cells, view in zip(self.ignored, self.views)
+                ]
+            )
         self.read_seconds = time.perf_counter() - begin
         for following in [new for new in self._levels if new < level][:1]:
-            self._stores[following] = _stored(at_level(self._full, following), THREADS_BESIDE,
-                                              HOST_BYTES // 2, self.folder)
+            self._stores[following] = _stored(
+                at_level(self._full, following), THREADS_BESIDE, HOST_BYTES // 2, self.folder
+            )
 
     def _close_stores(self) -> None:
         for store in self._stores.values():

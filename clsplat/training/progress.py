@@ -15,9 +15,16 @@ if TYPE_CHECKING:
 WARNING = "warning: "  # begins a message that is always shown
 BEGIN = "imports"  # of a process, before its first phase
 SPENT = {  # beginning of a phase -> what its seconds are spent for
-    "undistorting": "photos", "planning": "plan", "finding dense points": "dense points",
-    "reading photos": "photos", "compiling": "kernels", "training": "steps",
-    "evaluating": "evaluation", "writing the report": "report", "writing": "files"}
+    "undistorting": "photos",
+    "planning": "plan",
+    "finding dense points": "dense points",
+    "reading photos": "photos",
+    "compiling": "kernels",
+    "training": "steps",
+    "evaluating": "evaluation",
+    "writing the report": "report",
+    "writing": "files",
+}
 
 
 def training_at(level: float) -> str:
@@ -37,8 +44,9 @@ class SilentProgress:
         self._since = time.perf_counter() if began is None else began
         self._for, self._spent = BEGIN, dict[str, float]()
 
-    def __call__(self, *, iteration: int, total: int, loss: float, gaussians: int,
-                 memory_bytes: int, level: float) -> None:
+    def __call__(
+        self, *, iteration: int, total: int, loss: float, gaussians: int, memory_bytes: int, level: float
+    ) -> None:
         """Show the numbers of a training step."""
 
     def message(self, text: str) -> None:

@@ -53,8 +53,7 @@ class Clock:
 
     def trained(self) -> float:
         """Seconds of training so far, without the compilation of kernels."""
-        since = 0.0 if self._since is None else (
-            time.perf_counter() - self._device.build_seconds - self._since)
+        since = 0.0 if self._since is None else (time.perf_counter() - self._device.build_seconds - self._since)
         return self._train_seconds + since
 
     def elapsed(self) -> float:
@@ -77,8 +76,14 @@ class Recorder:
     `failure` is raised, the first one that is not StopTraining.
     """
 
-    def __init__(self, session: Session, clock: Clock, run: RunFolder, progress: SilentProgress,
-                 callbacks: Iterable[Callback] = ()) -> None:
+    def __init__(
+        self,
+        session: Session,
+        clock: Clock,
+        run: RunFolder,
+        progress: SilentProgress,
+        callbacks: Iterable[Callback] = (),
+    ) -> None:
         self.session, self.clock, self.run, self.progress = session, clock, run, progress
         self._callbacks, self.stop = tuple(callbacks), False
         self.failure: BaseException | None = None
@@ -88,14 +93,17 @@ class Recorder:
     def _place(self) -> dict[str, Any]:
         """The keys of every record: where the training is."""
         session, clock = self.session, self.clock
-        return {"iteration": session.iteration, "train_seconds": round(clock.trained(), 3),
-                "wall_seconds": round(clock.elapsed(), 3), "level": session.level,
-                "gaussians": session.step.count}
+        return {
+            "iteration": session.iteration,
+            "train_seconds": round(clock.trained(), 3),
+            "wall_seconds": round(clock.elapsed(), 3),
+            "level": session.level,
+            "gaussians": session.step.count,
+        }
 
     def log(self, event: str, **values: Any) -> None:
         """Write one record of metrics.jsonl; its first keys are those of every record."""
-        record = {"event": event, **self._place(), "pixel_pairs": self.session.step.pixel_pairs,
-                  **values}
+        record = {"event": event, **self._place(), "pixel_pairs": self.session.step.pixel_pairs, **values}
         self.run.log(record)
         if is_upheaval(record):
             self.upheavals[event] = self.session.iteration
@@ -132,18 +140,33 @@ class Recorder:
         session = self.session
         iteration, step = session.iteration, session.step
         memory = session.device.memory_bytes
-        self.progress(iteration=iteration, total=session.options.iterations, loss=values["loss"],
-                      gaussians=session.step.count, memory_bytes=memory, level=session.level)
+        self.progress(
+            iteration=iteration,
+            total=session.options.iterations,
+            loss=values["loss"],
+            gaussians=session.step.count,
+            memory_bytes=memory,
+            level=session.level,
+        )
         if iteration % LOG_EVERY == 0 or iteration == 1:
             skipped, computed = step.skipped()
             since, among = skipped - self._reported[0], computed - self._reported[1]
             self._reported = skipped, computed
-            self.log("step", **values, memory_bytes=memory, peak_bytes=session.device.peak_bytes,
-                     skipped_rows=step.skipped_before + skipped, skipped_since=since,
-                     frequency=frequency, convergence=session.schedule.latest)
+            self.log(
+                "step",
+                **values,
+                memory_bytes=memory,
+                peak_bytes=session.device.peak_bytes,
+                skipped_rows=step.skipped_before + skipped,
+                skipped_since=since,
+                frequency=frequency,
+                convergence=session.schedule.latest,
+            )
             if iteration > 1 and since > TOO_MANY * among:  # a single view proves little
-                raise broken(self.run, f"{since:,} of {among:,} gradients were not finite in "
-                             f"the {LOG_EVERY} steps to {iteration}")
+                raise broken(
+                    self.run,
+                    f"{since:,} of {among:,} gradients were not finite in the {LOG_EVERY} steps to {iteration}",
+                )
 
     def check(self, measured: list[Measured]) -> dict[str, float]:
         """The values of a step, such as `loss`; waits. InputError where one is not finite.
@@ -158,8 +181,10 @@ class Recorder:
         skipped, _ = step.skipped()
         if skipped and not (self._told or step.skipped_before):
             self._told = True
-            self.progress.message(f"step {iteration}: {skipped:,} gradients were not finite and "
-                                  "were skipped; metrics.jsonl counts them as skipped_rows")
+            self.progress.message(
+                f"step {iteration}: {skipped:,} gradients were not finite and "
+                "were skipped; metrics.jsonl counts them as skipped_rows"
+            )
         return values
 
 
@@ -181,8 +206,7 @@ class Evaluator:
             return options.eval_every > 0 and iteration % options.eval_every == 0
         if EVALUATIONS * iteration % options.iterations >= EVALUATIONS:  # not after an eighth
             return False
-        return (self._all_seconds + self.latest_seconds
-                <= EVALUATION_SHARE * self.clock.elapsed())
+        return self._all_seconds + self.latest_seconds <= EVALUATION_SHARE * self.clock.elapsed()
 
     def evaluate(self) -> None:
         """Evaluate and record the metrics, outside of training time, if any view is held out."""
@@ -193,9 +217,13 @@ class Evaluator:
         with self.clock.paused():
             progress.phase("evaluating")
             session.step.release()  # frames of evaluation have other sizes
-            result = evaluate_views(CurrentRenderer(session.renderer), session.model,
-                                    session.options.sh_degree, session.test_views,
-                                    predicted=session.predicted())
+            result = evaluate_views(
+                CurrentRenderer(session.renderer),
+                session.model,
+                session.options.sh_degree,
+                session.test_views,
+                predicted=session.predicted(),
+            )
             session.step.release()  # their memory is of other sizes than steps need
         self.latest_seconds = time.perf_counter() - begin
         self._all_seconds += self.latest_seconds
@@ -209,19 +237,20 @@ class Evaluator:
         key = main_key(result)
         if not self._is_begun:
             self._is_begun = True
-            yield (f"scores of {result['views']} held-out photo{'s' * (result['views'] != 1)}"
-                   + ", their colours fitted, as exposures are learned" * (key == "psnr_cc"))
+            yield (
+                f"scores of {result['views']} held-out photo{'s' * (result['views'] != 1)}"
+                + ", their colours fitted, as exposures are learned" * (key == "psnr_cc")
+            )
             yield f"{'step':>7}{'PSNR, dB':>10}{'SSIM':>9}{'gaussians':>13}{'training':>11}"
         ssim = result[key.replace("psnr", "ssim")]
         note = disturbed(self.recorder.upheavals, self.session.iteration)
-        yield (f"{self.session.iteration:>7}{result[key]:>10.2f}{ssim:>9.4f}"
-               f"{self.session.model.count:>13,}{self.clock.trained():>9.1f} s  {note}"
-               ).rstrip()
+        yield (
+            f"{self.session.iteration:>7}{result[key]:>10.2f}{ssim:>9.4f}"
+            f"{self.session.model.count:>13,}{self.clock.trained():>9.1f} s  {note}"
+        ).rstrip()
 
 
-def broken(run: RunFolder, what: str,
-           cure: str = "lower the learning rates or check the scene") -> InputError:
+def broken(run: RunFolder, what: str, cure: str = "lower the learning rates or check the scene") -> InputError:
     """The InputError of a training that cannot go on."""
-    kept = ("the last checkpoint is kept" if run.has_checkpoint
-            else "there is no checkpoint yet")
+    kept = "the last checkpoint is kept" if run.has_checkpoint else "there is no checkpoint yet"
     return InputError(f"{run.path}: {what}; {kept}: {cure}")

@@ -43,25 +43,29 @@ class Session:
     `options` may be replaced between steps (`lay_over`).
     """
 
-    def __init__(self, prepared: PreparedScene, device: Device, gaussians: Gaussians,
-                 photos: Photos, schedule: Schedule | None = None,
-                 progress: SilentProgress | None = None) -> None:
+    def __init__(
+        self,
+        prepared: PreparedScene,
+        device: Device,
+        gaussians: Gaussians,
+        photos: Photos,
+        schedule: Schedule | None = None,
+        progress: SilentProgress | None = None,
+    ) -> None:
         self.device, self.progress = device, progress or SilentProgress()
         if schedule is not None:
             self.schedule = schedule
         self.prepared, self.scene, self.decisions = prepared, prepared.scene, prepared.decisions
         self.train_views, self.test_views = prepared.train_views, prepared.test_views
         self.options = options = prepared.options
-        self.renderer = Renderer(device, options.sh_degree, prepared.near, options.antialiased,
-                                 options.background)
+        self.renderer = Renderer(device, options.sh_degree, prepared.near, options.antialiased, options.background)
         self.photos = photos
         self.iteration, self.level = 0, 0.0
         self.parts = parts_of(prepared)
         for part in self.parts:
             part.begin(self)
         model = Model(device, gaussians, options.engine, photos.folder)
-        self.step = Step(self.renderer, model, self.scene.extent, prepared.pixel, options,
-                         self.parts)
+        self.step = Step(self.renderer, model, self.scene.extent, prepared.pixel, options, self.parts)
         self._epochs: dict[int, NDArray[np.int64]] = {}  # the latest ones: the order of their views
         self.use_level(self.photos.level)
 
@@ -92,8 +96,7 @@ class Session:
 
     def sample(self, view: int, number: int) -> TrainingSample:
         """The sample of a view, with the number of views that have been trained on then."""
-        return TrainingSample(view, self.cameras[view], self.photos[view],
-                              self.train_views[view].may_have_mask, number)
+        return TrainingSample(view, self.cameras[view], self.photos[view], self.train_views[view].may_have_mask, number)
 
     def samples(self, plan: Plan) -> Iterator[TrainingSample]:
         """The samples of the next step, with this plan; begins to read the photos that follow each.
@@ -124,17 +127,17 @@ class Session:
             visits = np.ones(len(self.train_views))
             for part in self.parts:
                 visits = visits * part.visits(self.train_views)
-            self._epochs = {**{known: order for known, order in self._epochs.items()
-                               if abs(known - epoch) == 1},
-                            epoch: epoch_order(self.options.seed, epoch, visits)}
+            self._epochs = {
+                **{known: order for known, order in self._epochs.items() if abs(known - epoch) == 1},
+                epoch: epoch_order(self.options.seed, epoch, visits),
+            }
         return int(self._epochs[epoch][place])
 
     def predicted(self) -> Predicted | None:
         """The responses of all views, for an evaluation; None without exposures."""
         self.step.settle()
         responses = self.part(PhotoResponses)
-        return predicted_responses(self.scene.views, responses.responses(self)
-                                   if responses else None)
+        return predicted_responses(self.scene.views, responses.responses(self) if responses else None)
 
     def corrected(self, views: Iterable[View]) -> tuple[View, ...]:
         """The training views, at any size, with what the parts learned of their cameras."""

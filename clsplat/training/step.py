@@ -59,8 +59,15 @@ class Step:
     `parts`, one at least is a term of the loss.
     """
 
-    def __init__(self, renderer: Renderer, model: Model, extent: float, pixel: float,
-                 options: ScheduledOptions, parts: Sequence[Part]) -> None:
+    def __init__(
+        self,
+        renderer: Renderer,
+        model: Model,
+        extent: float,
+        pixel: float,
+        options: ScheduledOptions,
+        parts: Sequence[Part],
+    ) -> None:
         self.renderer, self._model, self.options = renderer, model, options
         self.extent, self.pixel = extent, pixel
         self.device, self.parts = renderer.device, parts
@@ -116,13 +123,13 @@ class Step:
         computed: rows of gaussians (cl/project.cl) and of views (cl/exposure.cl); waits."""
         counts, counters = self.settle(), (self.renderer.skipped, *self._learning)
         by_views = int(counts[COUNT_DONE]) * len(self._learning)  # each part has one a view
-        return (sum(int(counter.download()[0]) for counter in counters),
-                _long(counts, COUNT_SUM_VISIBLE) + by_views)
+        return (sum(int(counter.download()[0]) for counter in counters), _long(counts, COUNT_SUM_VISIBLE) + by_views)
 
     # --- a step
 
-    def run(self, iteration: int, plan: Plan, samples: Iterable[TrainingSample],
-            upcoming: Upcoming | None = None) -> list[Measured]:
+    def run(
+        self, iteration: int, plan: Plan, samples: Iterable[TrainingSample], upcoming: Upcoming | None = None
+    ) -> list[Measured]:
         """Take a step, by number from 1, on the mean loss of options.batch samples, which are read
         one at a time; returns the measurements of each, still on the device (`values`).
         `upcoming` returns the samples of this step and of later ones; None: all are as those of
@@ -133,8 +140,7 @@ class Step:
         taken = range((iteration - 1) * views + 1, iteration * views + 1)
         for slot, sample in zip(range(views), samples):
             alone = _always(sample.view, sample.camera)
-            parts = [(part, found) for part in self.parts
-                     if (found := part.inputs(now, sample)) is not None]
+            parts = [(part, found) for part in self.parts if (found := part.inputs(now, sample)) is not None]
             fetch = partial(self._model.fetch, taken, plan.degree, upcoming or alone)
             given = _Given(plan, sample, numbers, slot, parts, fetch)
 
@@ -142,8 +148,10 @@ class Step:
                 given.fetch()
                 measured[given.slot] = self._take(given)
                 if given.slot == views - 1:
-                    self._model.adam.advance(iteration, plan.degree, lambda: self._model.learned,
-                                             self._model.frozen, self.units.counts)
+                    self._model.adam.advance(
+                        iteration, plan.degree, lambda: self._model.learned, self._model.frozen, self.units.counts
+                    )
+
             self.units.submit(Unit(work, partial(self._make_room, given)))
             if upcoming:
                 self._model.look_ahead(sample.number + AHEAD, AHEAD, upcoming, numbers)
@@ -173,13 +181,17 @@ class Step:
         _, height, width = given.sample.photo.shape
         self._capacity.grow(self._model.rows, camera, width, height)
 
-    def pass_of(self, sample: TrainingSample, parts: Sequence[tuple[Part, Inputs]] = (),
-                view: int | None = None, counts: Array | None = None) -> ViewPass:
+    def pass_of(
+        self,
+        sample: TrainingSample,
+        parts: Sequence[tuple[Part, Inputs]] = (),
+        view: int | None = None,
+        counts: Array | None = None,
+    ) -> ViewPass:
         """The pass of a sample, from the camera that the given parts correct; `view` and `counts`
         are inputs of a recording instead of `sample.view` and those of all units."""
         view, counts = sample.view if view is None else view, counts or self.units.counts
-        work = ViewPass(view, sample.camera, sample.camera, sample.photo, self._model.rows, counts,
-                        self._model.frozen)
+        work = ViewPass(view, sample.camera, sample.camera, sample.photo, self._model.rows, counts, self._model.frozen)
         for part, own in parts:
             part.camera(work, own)
         return work
@@ -192,21 +204,30 @@ class Step:
             self._graphs.clear()
             self._recorded_for = state
         views = self.options.batch
-        if views > 1 and not (self._batch and (self._batch.count, self._batch.views)
-                              == (self.count, views)):  # else it may have views of this step
+        if views > 1 and not (
+            self._batch and (self._batch.count, self._batch.views) == (self.count, views)
+        ):  # else it may have views of this step
             self._batch = BatchMean(self.device, self._model.learned, views)
         sample, parts = given.sample, given.parts
         if not self._model.adam.RECORDS or any(part.waits for part, _ in parts):
             return self._enqueue(given, sample.view, None, self.units.counts)
-        inputs: dict[str, Any] = {"camera": sample.camera, "photo": sample.photo,
-                                  "view": sample.view, "counts": self.units.counts,
-                                  **given.numbers}
+        inputs: dict[str, Any] = {
+            "camera": sample.camera,
+            "photo": sample.photo,
+            "view": sample.view,
+            "counts": self.units.counts,
+            **given.numbers,
+        }
         for part, own in parts:
             inputs |= {f"{part.name}.{name}": value for name, value in own.items()}
-        key = (given.slot, given.plan.degree, given.plan.gathers, sample.own_mask,
-               tuple(part.name for part, _ in parts),
-               tuple((name, value.shape) for name, value in inputs.items()
-                     if isinstance(value, Array)))
+        key = (
+            given.slot,
+            given.plan.degree,
+            given.plan.gathers,
+            sample.own_mask,
+            tuple(part.name for part, _ in parts),
+            tuple((name, value.shape) for name, value in inputs.items() if isinstance(value, Array)),
+        )
         if graph := self._graphs.get(key):
             graph.replay(**inputs)
         elif not model.is_bounded:
@@ -247,10 +268,9 @@ class Step:
         with self.device.record(**inputs) as graph:
             recorded = given._replace(
                 numbers={name: graph.inputs[name] for name in given.numbers},
-                parts=[(part, {name: graph.inputs[f"{part.name}.{name}"] for name in own})
-                       for part, own in parts])
-            graph.result = self._enqueue(recorded, graph.inputs["view"], room,
-                                         graph.inputs["counts"])
+                parts=[(part, {name: graph.inputs[f"{part.name}.{name}"] for name in own}) for part, own in parts],
+            )
+            graph.result = self._enqueue(recorded, graph.inputs["view"], room, graph.inputs["counts"])
         return graph
 
     def _enqueue(self, given: _Given, view: int, room: Room | None, counts: Array) -> Measured:
@@ -276,15 +296,22 @@ class Step:
             part.move(work, own)
         return measured
 
-    def _gradients(self, given: _Given, work: ViewPass, room: Room | None, measured: Measured
-                   ) -> Gradients:
+    def _gradients(self, given: _Given, work: ViewPass, room: Room | None, measured: Measured) -> Gradients:
         """The gradients of one sample; adds to `measured` and to the statistics."""
         parts, photo, plan = given.parts, work.photo, given.plan
         for part, own in parts:
             part.respond(work, own)
         work.frame = self.renderer.render(
-            work.rows, work.camera, photo.shape[2], photo.shape[1], plan.degree,
-            any(part.needs_depth for part, _ in parts), room, work.counts, work.exposure)
+            work.rows,
+            work.camera,
+            photo.shape[2],
+            photo.shape[1],
+            plan.degree,
+            any(part.needs_depth for part, _ in parts),
+            room,
+            work.counts,
+            work.exposure,
+        )
         for part, own in parts:
             if (result := part.add_to(work, own)) is not None:
                 measured[part.name] = result
@@ -293,10 +320,16 @@ class Step:
         grad = work.grad
         assert grad.image is not None  # a term of the loss compares the image
         return self.renderer.adjoint(
-            work.rows, work.frame, grad.image, grad.depth, grad.transmittance, self._model.frozen,
+            work.rows,
+            work.frame,
+            grad.image,
+            grad.depth,
+            grad.transmittance,
+            self._model.frozen,
             self._statistics.sums if plan.gathers else None,
             photo if is_masked(photo) and given.sample.own_mask else None,
-            any(part.needs_pose for part, _ in parts))
+            any(part.needs_pose for part, _ in parts),
+        )
 
     # --- other levels and other rows
 
@@ -325,8 +358,7 @@ class Step:
         self.rows_changed(growth)
         self._statistics.clear(self._model.count)
 
-    def replace_others(self, kept: NDArray[np.integer], rows: HostArrays, m: HostArrays,
-                       v: HostArrays) -> None:
+    def replace_others(self, kept: NDArray[np.integer], rows: HostArrays, m: HostArrays, v: HostArrays) -> None:
         """Replace all gaussians but those at `kept`, int[K], which come first then and keep their
         moments, by others: their rows and their moments, by field."""
         self.release()
@@ -334,8 +366,9 @@ class Step:
         if self._model.pages:
             self._model.pages.leave()
         source = np.concatenate([kept, np.zeros(len(rows["positions"]))]).astype(np.uint32)
-        self.replace_rows(Growth(source, len(kept), 0, 0, 0, {
-            name: (len(kept), values) for name, values in rows.items()}))
+        self.replace_rows(
+            Growth(source, len(kept), 0, 0, 0, {name: (len(kept), values) for name, values in rows.items()})
+        )
         self._model.adam.write(m, v, len(kept))
         self.choose_room(True)
 

@@ -64,8 +64,7 @@ class Units:
         while not self._drop_done(read):
             assert self._pending, "a frame failed that is of no unit"
             failed = int(read[constants.COUNT_FAILED])
-            read[[constants.COUNT_FAILED, constants.COUNT_NEEDED_VISIBLE,
-                  constants.COUNT_NEEDED_PAIRS]] = 0
+            read[[constants.COUNT_FAILED, constants.COUNT_NEEDED_VISIBLE, constants.COUNT_NEEDED_PAIRS]] = 0
             self.counts.write(read)
             self.poll_soon()
             self._pending[0].make_room(failed)

@@ -18,9 +18,10 @@ model = clsplat.Gaussians.from_points(points, np.full((COUNT, 3), 128, np.uint8)
 model.rows["opacity_logits"][:] = 4
 renderer = clsplat.Renderer(model)
 
-cameras = [clsplat.Camera.looking_at((0, 0, 0), 3 * np.array(place), up=(0.1, 0.2, 1),
-                                     width=64, height=64)
-           for place in ((1, 1, 1), (-1, -1, -1), (1, -1, 1), (-1, 1, -1), (0, 0, 2), (0, 0, -2))]
+cameras = [
+    clsplat.Camera.looking_at((0, 0, 0), 3 * np.array(place), up=(0.1, 0.2, 1), width=64, height=64)
+    for place in ((1, 1, 1), (-1, -1, -1), (1, -1, 1), (-1, 1, -1), (0, 0, 2), (0, 0, -2))
+]
 labels = [renderer.forward(camera, features=np.eye(CLASSES)[classes]).image for camera in cameras]
 
 features = np.zeros((COUNT, CLASSES), np.float32)

@@ -32,9 +32,15 @@ for part, name in (("train", "transforms_train.json"), ("val", "transforms_test.
         pose = np.array(photo["c2w"], np.float64)  # camera to world; camera axes right, up, back
         pose[:, 3] = pose[:, 3] * scale + origin
         intrinsics = np.array(photo["intrinsics"], np.float64).tolist()
-        frames.append({"file_path": f"{part}/rgbs/{path.stem}", "w": int(photo["W"]),
-                       "h": int(photo["H"]), **dict(zip(("fl_x", "fl_y", "cx", "cy"), intrinsics)),
-                       "transform_matrix": (TURN @ pose).tolist()})
+        frames.append(
+            {
+                "file_path": f"{part}/rgbs/{path.stem}",
+                "w": int(photo["W"]),
+                "h": int(photo["H"]),
+                **dict(zip(("fl_x", "fl_y", "cx", "cy"), intrinsics)),
+                "transform_matrix": (TURN @ pose).tolist(),
+            }
+        )
     if frames:
         (folder / name).write_text(json.dumps({"frames": frames}), encoding="utf-8")
     print(f"{part}: {len(frames)} photos")

@@ -17,8 +17,7 @@ from clsplat import Plan, Schedule, option
 class HalvesOptions:
     """Options of this schedule; they become flags, keys of a TOML file and Python arguments."""
 
-    half_share: float = option(0.5, "Levels", "share of the run at half size", minimum=0.0,
-                               maximum=1.0, part="halves")
+    half_share: float = option(0.5, "Levels", "share of the run at half size", minimum=0.0, maximum=1.0, part="halves")
 
 
 class Halves(Schedule):
@@ -38,6 +37,12 @@ class Halves(Schedule):
         """Decide one step, counted from 1."""
         options, share = self.options, iteration / self.options.iterations
         growing, level = 0.25 < share < 0.75, 2.0 if share <= options.half_share else 1.0
-        return Plan(level=level, degree=self.degree(iteration),
-                    gathers=growing, grows=growing and iteration % options.densify_every == 0,
-                    resets_opacity=False, prunes_large=False, decay=self.decay(iteration))
+        return Plan(
+            level=level,
+            degree=self.degree(iteration),
+            gathers=growing,
+            grows=growing and iteration % options.densify_every == 0,
+            resets_opacity=False,
+            prunes_large=False,
+            decay=self.decay(iteration),
+        )

@@ -23,9 +23,15 @@ class RandomGrowth(Schedule):
         """Decide one step, counted from 1."""
         options = self.options
         growing = iteration < options.densify_until
-        return Plan(level=1.0, degree=self.degree(iteration), gathers=growing,
-                    grows=growing and iteration % options.densify_every == 0,
-                    resets_opacity=False, prunes_large=False, decay=self.decay(iteration))
+        return Plan(
+            level=1.0,
+            degree=self.degree(iteration),
+            gathers=growing,
+            grows=growing and iteration % options.densify_every == 0,
+            resets_opacity=False,
+            prunes_large=False,
+            decay=self.decay(iteration),
+        )
 
     def grow(self, round):
         """Clone or split each of the candidates with a probability of a half."""

@@ -20,8 +20,7 @@ class Render(torch.autograd.Function):
     @staticmethod
     def backward(ctx, grad_image):
         found = ctx.renderer.backward(ctx.frame, grad_image.contiguous().cpu())
-        return None, None, *(torch.from_numpy(found[name]).to(grad_image.device)
-                             for name in FIELDS)
+        return None, None, *(torch.from_numpy(found[name]).to(grad_image.device) for name in FIELDS)
 
 
 if __name__ == "__main__":

@@ -28,8 +28,8 @@ PAYLOAD, LITTLE = 1 << 26, 1 << 25  # of what is unpacked, and that its refusal 
 
 def ply(form, properties="property float x\nproperty list uchar float y\n", rows="1 0\n"):
     def write(path):
-        path.write_text(f"ply\nformat {form} 1.0\nelement vertex 1000000000000\n{properties}"
-                        f"end_header\n{rows}")
+        path.write_text(f"ply\nformat {form} 1.0\nelement vertex 1000000000000\n{properties}end_header\n{rows}")
+
     return write
 
 
@@ -54,16 +54,19 @@ def jpeg(side):
         data = bytearray(path.read_bytes())
         struct.pack_into(">HH", data, data.index(b"\xff\xc0") + 5, side, side)
         path.write_bytes(data)
+
     return write
 
 
 def npz(old, new):
     """An array of 30 x 3 whose header was changed in place."""
+
     def write(path):
         np.save(member := io.BytesIO(), np.zeros((30, 3)))
         assert old in member.getvalue() and len(old) == len(new)
         with zipfile.ZipFile(path, "w") as archive:
             archive.writestr("xyz.npy", member.getvalue().replace(old, new))
+
     return write
 
 
@@ -78,11 +81,13 @@ def zip_of_gigabytes(path):
 
 def changed(write, place, form, value):
     """A file in which one number was overwritten."""
+
     def spoil(path):
         write(path)
         data = bytearray(path.read_bytes())
         struct.pack_into(form, data, place, value)
         path.write_bytes(data)
+
     return spoil
 
 
@@ -150,8 +155,12 @@ def sog_members(folder, count=3):
 @pytest.mark.one_in(2)
 def test_members_without_a_limit_of_memory(tmp_path, method):
     members = sog_members(tmp_path) | {"meta.json": bytes(PAYLOAD)}
-    refused(read_model, lying(tmp_path / "a.sog", members, {"meta.json": 100}, method),
-            "another method than deflate", most=LITTLE)
+    refused(
+        read_model,
+        lying(tmp_path / "a.sog", members, {"meta.json": 100}, method),
+        "another method than deflate",
+        most=LITTLE,
+    )
 
 
 def test_millions_of_gaussians_in_a_few_bytes(tmp_path):
@@ -168,16 +177,15 @@ def test_primitives_of_a_glb_that_all_name_the_same_gaussians(tmp_path):
     path = tmp_path / "a.glb"
     write_model(path, random_gaussians(300))
     data = path.read_bytes()
-    size, = struct.unpack_from("<I", data, 12)
-    document = json.loads(data[20:20 + size])
+    (size,) = struct.unpack_from("<I", data, 12)
+    document = json.loads(data[20 : 20 + size])
     document["meshes"][0]["primitives"] *= 400
     text = json.dumps(document).encode()
-    path.write_bytes(data[:12] + struct.pack("<I4s", len(text), b"JSON") + text + data[20 + size:])
+    path.write_bytes(data[:12] + struct.pack("<I4s", len(text), b"JSON") + text + data[20 + size :])
     refused(read_model, path, "several meshes", most=LITTLE)
 
 
-ARRAYS = {"wide": np.arange(3000, dtype=np.float32).reshape(50, 4, 15),
-          "flat": np.arange(50, dtype=np.uint32)}
+ARRAYS = {"wide": np.arange(3000, dtype=np.float32).reshape(50, 4, 15), "flat": np.arange(50, dtype=np.uint32)}
 
 
 @pytest.fixture

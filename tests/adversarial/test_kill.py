@@ -24,10 +24,16 @@ def moments(seed=4):
     rng = np.random.default_rng(seed)
     anywhere = [("step", f"{rng.integers(1, 70)}.{rng.integers(0, 300):03d}")]
     # kind -> from which on, and how often it comes in a run
-    inside = {"checkpoint": (1, 250), "growth": (1, 4), "rename": (2, 11), "renamed": (1, 11),
-              "record": (1, 10), "evaluation": (1, 4), "model": (1, 1)}
-    return anywhere + [(kind, str(first + rng.integers(count)))
-                       for kind, (first, count) in inside.items()]
+    inside = {
+        "checkpoint": (1, 250),
+        "growth": (1, 4),
+        "rename": (2, 11),
+        "renamed": (1, 11),
+        "record": (1, 10),
+        "evaluation": (1, 4),
+        "model": (1, 1),
+    }
+    return anywhere + [(kind, str(first + rng.integers(count))) for kind, (first, count) in inside.items()]
 
 
 def begun(device, options):
@@ -39,8 +45,24 @@ def begun(device, options):
 def killed(folder, moment, number, *words):
     """`clsplat train` in a process of its own, until it dies."""
     done = subprocess.run(
-        [sys.executable, "-m", "tests.adversarial.kill", moment, number, "train", str(CITY),
-         "-o", str(folder), "-q", *words], cwd=ROOT, capture_output=True, text=True, timeout=300)
+        [
+            sys.executable,
+            "-m",
+            "tests.adversarial.kill",
+            moment,
+            number,
+            "train",
+            str(CITY),
+            "-o",
+            str(folder),
+            "-q",
+            *words,
+        ],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == -signal.SIGKILL, done.stderr
     return RunFolder(folder)
 
@@ -79,8 +101,14 @@ def test_killed_again_and_again(item_device, city, tmp_path):
     whole = trained(tmp_path / "whole", city, item_device, **SHORT)
     assert len(records(whole, "grow")) == 1
     words = begun(item_device, SHORT)
-    for moment, number in (("rename", "1"), ("renamed", "1"), ("step", "5"), ("growth", "1"),
-                           ("saved", "1"), ("model", "1")):
+    for moment, number in (
+        ("rename", "1"),
+        ("renamed", "1"),
+        ("step", "5"),
+        ("growth", "1"),
+        ("saved", "1"),
+        ("model", "1"),
+    ):
         run = killed(tmp_path / "run", moment, number, *words)
         assert not run.has_model
         words = ["--resume"] if (run.path / "options.json").exists() else words

@@ -35,12 +35,14 @@ def tiff(array=PICTURE, photometric="rgb", **options):
 
 def library(array, kind):
     """By OpenImageIO, which writes what Pillow does not."""
+
     def write(path):
         spec = oiio.ImageSpec(array.shape[1], array.shape[0], array.shape[2], kind)
         output = oiio.ImageOutput.create(str(path))
         if output is None:
             pytest.skip(f"this OpenImageIO writes no {path.suffix}: {oiio.geterror()}")
         assert output.open(str(path), spec) and output.write_image(array) and output.close()
+
     return write
 
 
@@ -48,6 +50,7 @@ def under_another_suffix(suffix, write):
     def renamed(path):
         write(path.with_suffix(suffix))
         path.with_suffix(suffix).rename(path)
+
     return renamed
 
 
@@ -59,8 +62,7 @@ def exif(number):
 
 def twelve_bits(path):
     """Netpbm says itself how far its samples reach."""
-    path.write_bytes(b"P6 32 24 4095\n" + (PICTURE.astype(float) / 255 * 4095).round().astype(
-        ">u2").tobytes())
+    path.write_bytes(b"P6 32 24 4095\n" + (PICTURE.astype(float) / 255 * 4095).round().astype(">u2").tobytes())
 
 
 PALETTE = Image.fromarray(PICTURE).quantize(256)
@@ -76,21 +78,22 @@ READ = {
     "PNG called JPEG": ("a.jpg", under_another_suffix(".png", pillow()), PICTURE, 0),
     "1-bit PNG": ("a.png", pillow("1", (PICTURE[..., 0] > 127) * np.uint8(255)), ONE_BIT, 0),
     "palette with transparency": ("a.png", lambda p: PALETTE.save(p, transparency=3), FEW, 0),
-    "grey with alpha": ("a.png", lambda p: Image.fromarray(np.dstack(
-        [PICTURE[..., :1], ALPHA]), "LA").save(p), GREY, 0),
+    "grey with alpha": (
+        "a.png",
+        lambda p: Image.fromarray(np.dstack([PICTURE[..., :1], ALPHA]), "LA").save(p),
+        GREY,
+        0,
+    ),
     "alpha PNG": ("a.png", pillow("RGBA", np.dstack([PICTURE, ALPHA])), PICTURE, 0),
     "16-bit PNG": ("a.png", library(PICTURE.astype(np.uint16) * 257, "uint16"), PICTURE, 0),
     "EXIF turned": ("a.jpg", pillow(quality=95, subsampling=0, exif=exif(6)), PICTURE, 1.5),
     "TIFF in strips": ("a.tif", tiff(BIG, rowsperstrip=7), BIG, 0),
-    "tiled planar TIFF": ("a.tif", tiff(BIG.transpose(2, 0, 1), planarconfig="separate",
-                                        tile=(32, 48)), BIG, 0),
+    "tiled planar TIFF": ("a.tif", tiff(BIG.transpose(2, 0, 1), planarconfig="separate", tile=(32, 48)), BIG, 0),
     "TIFF of pages": ("a.tif", tiff(np.stack([PICTURE, 255 - PICTURE])), PICTURE, 0),
     "white is zero": ("a.tif", tiff(255 - PICTURE[..., 0], "miniswhite"), GREY, 0),
-    "five channels": ("a.tif", tiff(np.dstack([PICTURE, PICTURE[..., :2]]),
-                                    planarconfig="contig"), PICTURE, 0),
+    "five channels": ("a.tif", tiff(np.dstack([PICTURE, PICTURE[..., :2]]), planarconfig="contig"), PICTURE, 0),
     "netpbm of 12 bits": ("a.ppm", twelve_bits, PICTURE, 0.5),
-    "animated GIF": ("a.gif", lambda p: PALETTE.save(
-        p, save_all=True, append_images=[PALETTE.rotate(180)]), FEW, 0),
+    "animated GIF": ("a.gif", lambda p: PALETTE.save(p, save_all=True, append_images=[PALETTE.rotate(180)]), FEW, 0),
 }
 
 
@@ -114,23 +117,27 @@ def damaged(write, change):
     def spoil(path):
         write(path)
         path.write_bytes(change(path.read_bytes()))
+
     return spoil
 
 
 def claims(width, height):
     """A PNG that has the bytes of a small one."""
+
     def change(data):
         head = data[12:16] + struct.pack(">II", width, height) + data[24:29]
         return data[:12] + head + struct.pack(">I", zlib.crc32(head)) + data[33:]
+
     return damaged(pillow(), change)
 
 
 def cut(write, share):
-    return damaged(write, lambda data: data[:int(len(data) * share)])
+    return damaged(write, lambda data: data[: int(len(data) * share)])
 
 
 def tiff_claims(tag, value):
     """One entry of a TIFF's directory, changed in place."""
+
     def change(data):
         data = bytearray(data)
         begin = struct.unpack_from("<I", data, 4)[0]
@@ -139,6 +146,7 @@ def tiff_claims(tag, value):
             if struct.unpack_from("<H", data, place)[0] == tag:
                 struct.pack_into("<HII", data, place + 2, 4, 1, value)
         return bytes(data)
+
     return damaged(tiff(), change)
 
 
@@ -151,23 +159,23 @@ REFUSED = {
     "text": ("a.jpg", lambda p: p.write_text("hello"), ("not an image", "convert it")),
     "a folder": ("a.png", lambda p: p.mkdir(), ("a folder",)),
     "a pipe": ("a.png", os.mkfifo if hasattr(os, "mkfifo") else None, ("a pipe",)),
-    "a device": ("a.png", (lambda p: p.symlink_to("/dev/zero")) if os.name != "nt" else None,
-                 ("a device",)),
+    "a device": ("a.png", (lambda p: p.symlink_to("/dev/zero")) if os.name != "nt" else None, ("a device",)),
     "null format": ("a.null", lambda p: p.write_bytes(b"x"), ("null are not read",)),
     "DPX": ("a.dpx", library(PICTURE, "uint8"), ("format dpx", "convert it")),
     "PNG of 60000 x 60000": ("a.png", claims(60000, 60000), ("a.png", ";")),
     "PNG taller than its data": ("a.png", claims(32, 48), ("damaged or cut short",)),
-    "PNG bit flipped": ("a.png", damaged(library(NOISE, "uint8"), lambda d: (
-        d[:4000] + bytes([d[4000] ^ 255]) + d[4001:])), ("damaged or cut short",)),
-    "progressive JPEG cut": ("a.jpg", cut(pillow(array=NOISE, progressive=True), 0.7),
-                             ("cut short",)),
+    "PNG bit flipped": (
+        "a.png",
+        damaged(library(NOISE, "uint8"), lambda d: d[:4000] + bytes([d[4000] ^ 255]) + d[4001:]),
+        ("damaged or cut short",),
+    ),
+    "progressive JPEG cut": ("a.jpg", cut(pillow(array=NOISE, progressive=True), 0.7), ("cut short",)),
     "TIFF of 2^31 rows": ("a.tif", tiff_claims(257, 2**31 - 1), ("a.tif", ";")),
     "Lab TIFF": ("a.tif", tiff(photometric="cielab"), ("CIELAB", "convert it to RGB")),
     "EXR": ("a.exr", library(FLOATS, "float"), ("floating point", "convert it")),
     "float TIFF": ("a.tif", tiff(FLOATS), ("floating point", "convert it")),
     "TIFF in LZMA": ("a.tif", tiff(compression="lzma"), ("LZMA", "convert it")),
-    "netpbm of huge size": ("a.ppm", lambda p: p.write_bytes(b"P6 99999999 99999999 255\n"),
-                            ("a.ppm", ";")),
+    "netpbm of huge size": ("a.ppm", lambda p: p.write_bytes(b"P6 99999999 99999999 255\n"), ("a.ppm", ";")),
 }
 
 
@@ -189,5 +197,8 @@ def test_what_a_header_says(tmp_path):
         with opened(tmp_path / name) as photo:
             found[case] = photo.has_alpha, photo.orientation, photo.extra
     assert found == {
-        "alpha PNG": (True, 1, 0), "EXIF turned": (False, 6, 0), "five channels": (False, 1, 2),
-        "palette with transparency": (True, 1, 0)}
+        "alpha PNG": (True, 1, 0),
+        "EXIF turned": (False, 6, 0),
+        "five channels": (False, 1, 2),
+        "palette with transparency": (True, 1, 0),
+    }

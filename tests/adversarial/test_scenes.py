@@ -21,6 +21,7 @@ from tests.data.tiny_model import CENTRE, FOCAL, HEIGHT, WIDTH, reconstruction, 
 
 def renamed(change, text=False):
     """A scene whose photos have other names."""
+
     def make(folder):
         made = reconstruction()
         for image in made.images.values():
@@ -28,6 +29,7 @@ def renamed(change, text=False):
         for image in made.images.values():
             (folder / "images" / image.name).parent.mkdir(parents=True, exist_ok=True)
         return write_scene(folder, made, text)
+
     return make
 
 
@@ -63,12 +65,15 @@ def test_names(tmp_path, case):
     assert all(read_photo(view).shape == (HEIGHT, WIDTH, 3) for view in scene.views)
 
 
-@pytest.mark.parametrize("name, words", [
-    ("n" * 247 + ".png", ("too long", "rename")),
-    ("../photo.png", ("leaves the scene's image folder",)),
-    ("a\\..\\..\\photo.png", ("leaves the scene's image folder",)),
-    ("a\nb.png", ("not valid text",)),
-])
+@pytest.mark.parametrize(
+    "name, words",
+    [
+        ("n" * 247 + ".png", ("too long", "rename")),
+        ("../photo.png", ("leaves the scene's image folder",)),
+        ("a\\..\\..\\photo.png", ("leaves the scene's image folder",)),
+        ("a\nb.png", ("not valid text",)),
+    ],
+)
 def test_names_that_are_refused(tmp_path, name, words):
     folder = write_scene(tmp_path / "town")
     made = reconstruction()
@@ -79,25 +84,39 @@ def test_names_that_are_refused(tmp_path, name, words):
 
 PHOTO = "images/photo_1.png"
 SCENES = {
-    "other case": (lambda f: (f / PHOTO).rename(f / "images/Photo_1.PNG"),
-                   ("1 of 4", "letter case")),
-    "decomposed on disk": (lambda f: [renamed(lambda n: f"é{n}")(f)] + [
-        path.rename(path.with_name(unicodedata.normalize("NFD", path.name)))
-        for path in (f / "images").glob("é*")], ("4 of 4", "form of its characters")),
-    "other suffix": (lambda f: (f / PHOTO).rename(f / "images/photo_1.jpg"),
-                     ("1 of 4", "in its suffix")),
-    "photo is a device": (lambda f: ((f / PHOTO).unlink(), (f / PHOTO).symlink_to("/dev/zero")),
-                          ("a device",)),
-    "EXIF turned": (lambda f: Image.new("RGB", (HEIGHT, WIDTH)).save(f / PHOTO, exif=exif(6)),
-                    ("EXIF orientation 6", "-auto-orient")),
-    "cameras is a pipe": (lambda f: [(f / f"sparse/0/{n}").unlink() for n in (
-        "cameras.bin",)] + [os.mkfifo(f / "sparse/0/cameras.bin")], ("cameras.bin",)),
-    "only a Git LFS pointer": (lambda f: (f / "sparse/0/images.bin").write_text(
-        "version https://git-lfs.github.com/spec/v1\n"), ("images.bin", "copy the model again")),
-    "half the model is text": (lambda f: (f / "sparse/0/images.bin").rename(
-        f / "sparse/0/images.txt"), ("images.bin", "no such file")),
-    "a photo missing in images_2": (lambda f: (
-        shrunk(f, "images_2", 2, range(3)), shutil.rmtree(f / "images")), ("1 of 4",)),
+    "other case": (lambda f: (f / PHOTO).rename(f / "images/Photo_1.PNG"), ("1 of 4", "letter case")),
+    "decomposed on disk": (
+        lambda f: (
+            [renamed(lambda n: f"é{n}")(f)]
+            + [
+                path.rename(path.with_name(unicodedata.normalize("NFD", path.name)))
+                for path in (f / "images").glob("é*")
+            ]
+        ),
+        ("4 of 4", "form of its characters"),
+    ),
+    "other suffix": (lambda f: (f / PHOTO).rename(f / "images/photo_1.jpg"), ("1 of 4", "in its suffix")),
+    "photo is a device": (lambda f: ((f / PHOTO).unlink(), (f / PHOTO).symlink_to("/dev/zero")), ("a device",)),
+    "EXIF turned": (
+        lambda f: Image.new("RGB", (HEIGHT, WIDTH)).save(f / PHOTO, exif=exif(6)),
+        ("EXIF orientation 6", "-auto-orient"),
+    ),
+    "cameras is a pipe": (
+        lambda f: [(f / f"sparse/0/{n}").unlink() for n in ("cameras.bin",)] + [os.mkfifo(f / "sparse/0/cameras.bin")],
+        ("cameras.bin",),
+    ),
+    "only a Git LFS pointer": (
+        lambda f: (f / "sparse/0/images.bin").write_text("version https://git-lfs.github.com/spec/v1\n"),
+        ("images.bin", "copy the model again"),
+    ),
+    "half the model is text": (
+        lambda f: (f / "sparse/0/images.bin").rename(f / "sparse/0/images.txt"),
+        ("images.bin", "no such file"),
+    ),
+    "a photo missing in images_2": (
+        lambda f: (shrunk(f, "images_2", 2, range(3)), shutil.rmtree(f / "images")),
+        ("1 of 4",),
+    ),
 }
 
 
@@ -126,7 +145,7 @@ def test_smaller_photos_scale_the_cameras(tmp_path):
         assert (camera.width, camera.height) == size
         assert np.allclose(camera.focal, FOCAL * scale)
         assert np.allclose(camera.centre, CENTRE * scale)
-        note, = scene.notes
+        (note,) = scene.notes
         assert f"{name}/" in note and "times smaller" in note
         assert read_photo(scene.views[2])[0, 0, 0] == 2
     refused(folder, "--images images_9", "images_8", images="images_9")

@@ -17,8 +17,7 @@ from clsplat.training import run as trainings
 from tests.data.tiny_training import CITY, ROOT, model_digest
 
 EXAMPLES = ROOT / "docs" / "examples"
-SMALL_VALUES = {"iterations": 40, "downscale": 8, "schedule": "constant", "exposure": "off",
-                "eval_every": 20}
+SMALL_VALUES = {"iterations": 40, "downscale": 8, "schedule": "constant", "exposure": "off", "eval_every": 20}
 SMALL = clsplat.TrainOptions(**SMALL_VALUES)
 CAMERA = clsplat.Camera.looking_at((0, 0, 0), (0.2, -3, 0.4), width=40, height=28)
 
@@ -31,14 +30,14 @@ def scene():
 @pytest.fixture(scope="module")
 def run(scene, item_device, tmp_path_factory):
     """Not to be changed."""
-    return clsplat.train(scene, SMALL, output=tmp_path_factory.mktemp("api") / "run",
-                         device=item_device)
+    return clsplat.train(scene, SMALL, output=tmp_path_factory.mktemp("api") / "run", device=item_device)
 
 
 def blob(count=30, degree=1):
     rng = np.random.default_rng(1)
     model = clsplat.Gaussians.from_points(
-        rng.uniform(-1, 1, (count, 3)), rng.integers(0, 256, (count, 3), np.uint8), degree)
+        rng.uniform(-1, 1, (count, 3)), rng.integers(0, 256, (count, 3), np.uint8), degree
+    )
     model.rows["sh_rest"][:] = rng.normal(0, 0.1, model.sh_rest.shape)
     model.rows["log_scales"] += rng.normal(0, 0.3, (count, 3)).astype(np.float32)
     return model
@@ -46,14 +45,14 @@ def blob(count=30, degree=1):
 
 @pytest.mark.slow
 def test_its_names_are_found_and_nothing_is_imported_before():
-    code = ("import sys, clsplat\n"
-            "assert not {'numpy', 'pyopencl', 'scipy'} & set(sys.modules), 'too early'\n"
-            "assert set(clsplat.__all__) <= set(dir(clsplat))\n"
-            "assert all(getattr(clsplat, name).__doc__ for name in clsplat.__all__)\n"
-            "from clsplat import *\n"
-            "assert callable(render) and callable(train) and callable(evaluate)\n"
-            "import clsplat.rendering.blend, clsplat.training.loop, clsplat.evaluation.views\n"
-            "assert callable(clsplat.render) and callable(clsplat.train)\n")
+    code = (
+        "import sys, clsplat\nassert not {'numpy', 'pyopencl', 'scipy'} & set(sys.modules), 'too early'\n"
+        "assert set(clsplat.__all__) <= set(dir(clsplat))\n"
+        "assert all(getattr(clsplat, name).__doc__ for name in clsplat.__all__)\n"
+        "from clsplat import *\nassert callable(render) and callable(train) and callable(evaluate)\n"
+        "import clsplat.rendering.blend, clsplat.training.loop, clsplat.evaluation.views\n"
+        "assert callable(clsplat.render) and callable(clsplat.train)\n"
+    )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
     with pytest.raises(AttributeError, match="no attribute 'rendr'"):
         clsplat.rendr  # noqa: B018
@@ -62,11 +61,18 @@ def test_its_names_are_found_and_nothing_is_imported_before():
 def test_what_is_public_says_what_it_takes():
     """Every argument of every public function and method has a line in its docstring."""
     import inspect
+
     for name in clsplat.__all__:
         thing = getattr(clsplat, name)
-        functions = [thing] if inspect.isfunction(thing) else [
-            member for key, member in vars(thing).items() if not key.startswith("_")
-            and callable(getattr(member, "__func__", member))]
+        functions = (
+            [thing]
+            if inspect.isfunction(thing)
+            else [
+                member
+                for key, member in vars(thing).items()
+                if not key.startswith("_") and callable(getattr(member, "__func__", member))
+            ]
+        )
         for function in functions:
             function = getattr(function, "__func__", function)
             hints, text = inspect.signature(function), inspect.getdoc(function)
@@ -88,10 +94,12 @@ def test_a_render_is_what_evaluations_see(run, scene, item_device):
 
 
 def test_the_name_of_a_device_is_no_device(scene, tmp_path):
-    for call in (lambda: clsplat.render(blob(), CAMERA, device="cpu"),
-                 lambda: clsplat.Renderer(blob(), "cpu"),
-                 lambda: clsplat.evaluate(blob(), scene, device="cpu"),
-                 lambda: clsplat.train(scene, output=tmp_path / "run", device="cpu")):
+    for call in (
+        lambda: clsplat.render(blob(), CAMERA, device="cpu"),
+        lambda: clsplat.Renderer(blob(), "cpu"),
+        lambda: clsplat.evaluate(blob(), scene, device="cpu"),
+        lambda: clsplat.train(scene, output=tmp_path / "run", device="cpu"),
+    ):
         with pytest.raises(clsplat.ClsplatError, match=r"give clsplat.Device\('cpu'\)"):
             call()
     assert not (tmp_path / "run").exists()
@@ -111,8 +119,7 @@ def test_model_and_camera_may_have_other_origins(run, scene, item_device):
 
 
 def test_depth_is_the_distance_of_what_is_seen(item_device):
-    model = clsplat.Gaussians.from_points(
-        np.array([(0, 0, 0), (0, 0, 0.01)]), np.full((2, 3), 255, np.uint8), 0)
+    model = clsplat.Gaussians.from_points(np.array([(0, 0, 0), (0, 0, 0.01)]), np.full((2, 3), 255, np.uint8), 0)
     model.rows["log_scales"][:] = np.log(0.3)
     camera = clsplat.Camera.looking_at((0, 0, 0), (0, -5, 0), width=32, height=32)
     image, depth = clsplat.render(model, camera, device=item_device, depth=True)
@@ -124,8 +131,9 @@ def test_depth_is_the_distance_of_what_is_seen(item_device):
 
 def test_a_batch_is_its_frames(item_device):
     """Also where a frame needs far more room than those before it, and in other sizes."""
-    far, near = (clsplat.Camera.looking_at((0, 0, 0), (0.2, -distance, 0.4), width=40, height=28)
-                 for distance in (60, 2))
+    far, near = (
+        clsplat.Camera.looking_at((0, 0, 0), (0.2, -distance, 0.4), width=40, height=28) for distance in (60, 2)
+    )
     cameras = [far, far, near, *[CAMERA] * 7, CAMERA.resized(64, 48), near]
     frames = clsplat.render(blob(), cameras=iter(cameras), device=item_device, depth=True)
     assert len(frames) == len(cameras)
@@ -147,8 +155,7 @@ def test_features_are_blended_like_colours_and_have_gradients(item_device):
     gradient = renderer.backward(frame, weights, pose=True)
     assert gradient["turn"].any() and gradient["features"].shape == (30, 8)
     # the image is linear in the features
-    assert (gradient["features"] * features).sum() == pytest.approx((weights * frame.image).sum(),
-                                                                    rel=1e-3)
+    assert (gradient["features"] * features).sum() == pytest.approx((weights * frame.image).sum(), rel=1e-3)
     for wrong in (np.zeros((29, 8)), np.zeros((30, 17)), np.zeros(30), "abc"):
         with pytest.raises(clsplat.ClsplatError, match="features: "):
             renderer.forward(CAMERA, features=wrong)
@@ -172,23 +179,20 @@ def test_backward_is_the_derivative_of_forward(double_device, depth):
     def loss(name, step):
         camera = CAMERA
         if name in ("turn", "shift"):
-            camera = CAMERA.moved(**{"turn": np.zeros(3), "shift": np.zeros(3),
-                                     name: step * direction[name]})
+            camera = CAMERA.moved(**{"turn": np.zeros(3), "shift": np.zeros(3), name: step * direction[name]})
         else:
             renderer.update(**{name: model.rows[name] + step * direction[name]})
         seen = renderer.forward(camera, depth=depth)
         renderer.update(**model.rows)
-        return (weights * seen.image).sum() + (
-            0 if not depth else (by_depth * (seen.depth + seen.transmittance)).sum())
+        return (weights * seen.image).sum() + (0 if not depth else (by_depth * (seen.depth + seen.transmittance)).sum())
 
     direction = {name: rng.normal(size=values.shape) for name, values in gradients.items()}
     for name, values in gradients.items():
-        assert values.dtype == np.float32 and values.shape == (
-            model.rows[name].shape if name in model.rows else (3,))
+        assert values.dtype == np.float32 and values.shape == (model.rows[name].shape if name in model.rows else (3,))
         step = 2e-3  # long, for images come as float32
         slope = (loss(name, step) - loss(name, -step)) / (2 * step)
         expected = (values * direction[name]).sum()
-        scale = np.sqrt((values**2 * direction[name]**2).sum())
+        scale = np.sqrt((values**2 * direction[name] ** 2).sum())
         assert abs(slope - expected) < 3e-3 * scale + 1e-4, name
 
 
@@ -209,16 +213,20 @@ def test_parameters_are_replaced_and_read_back(item_device):
 
         def __dlpack_device__(self):
             return self.values.__dlpack_device__()
+
     renderer.update(positions=Exporting(blob().positions))
     assert np.array_equal(renderer.forward(CAMERA).image, before)
 
 
-@pytest.mark.parametrize("wrong, words", [
-    (lambda r: r.update(place=np.zeros(3)), "place: not a field"),
-    (lambda r: r.update(positions=np.zeros((3, 3))), r"\(3, 3\), not \(30, 3\)"),
-    (lambda r: r.backward(r.forward(CAMERA), np.zeros((28, 40))), "grad_image"),
-    (lambda r: r.backward(r.forward(CAMERA), np.zeros((28, 40, 3)), np.zeros((28, 40))),
-     "depth=True")])
+@pytest.mark.parametrize(
+    "wrong, words",
+    [
+        (lambda r: r.update(place=np.zeros(3)), "place: not a field"),
+        (lambda r: r.update(positions=np.zeros((3, 3))), r"\(3, 3\), not \(30, 3\)"),
+        (lambda r: r.backward(r.forward(CAMERA), np.zeros((28, 40))), "grad_image"),
+        (lambda r: r.backward(r.forward(CAMERA), np.zeros((28, 40, 3)), np.zeros((28, 40))), "depth=True"),
+    ],
+)
 def test_what_does_not_fit_is_said(item_device, wrong, words):
     with pytest.raises(clsplat.ClsplatError, match=words):
         wrong(clsplat.Renderer(blob(), item_device))
@@ -227,8 +235,7 @@ def test_what_does_not_fit_is_said(item_device, wrong, words):
 def test_training_is_that_of_the_command_line(run, scene, item_device, tmp_path):
     same = RunFolder.create(tmp_path / "run")
     trainings.train(scene, resolve({}, SMALL_VALUES), item_device, same)
-    assert (run.path / "point_cloud.ply").read_bytes() == (
-        same.path / "point_cloud.ply").read_bytes()
+    assert (run.path / "point_cloud.ply").read_bytes() == (same.path / "point_cloud.ply").read_bytes()
     assert run.is_finished and run.options.iterations == 40 and len(run.metrics) > 2
     assert clsplat.Run.open(run.path).model.count == run.model.count
 
@@ -241,8 +248,8 @@ def test_callbacks_see_every_step_and_may_stop_it(run, scene, item_device, tmp_p
         seen.append(record)
         if record["event"] == "step" and record["iteration"] == 4:
             raise clsplat.StopTraining
-    stopped = clsplat.train(scene, SMALL, output=tmp_path / "run", device=item_device,
-                            callbacks=[stop])
+
+    stopped = clsplat.train(scene, SMALL, output=tmp_path / "run", device=item_device, callbacks=[stop])
     steps = [record for record in seen if record["event"] == "step"]
     assert [record["iteration"] for record in steps] == [1, 2, 3, 4]
     assert all(0 < record["loss"] < 1 and record["gaussians"] == 4400 for record in steps)
@@ -257,8 +264,7 @@ def test_callbacks_see_every_step_and_may_stop_it(run, scene, item_device, tmp_p
 
 
 def test_scores_are_those_of_the_run(run, item_device):
-    ours, theirs = clsplat.evaluate(run.model, run.scene(), device=item_device), run.evaluate(
-        item_device)
+    ours, theirs = clsplat.evaluate(run.model, run.scene(), device=item_device), run.evaluate(item_device)
     assert ours.views == theirs.views == 4 and ours.psnr == pytest.approx(theirs.psnr, abs=1e-6)
     assert ours.per_view[0]["name"] == "000.jpg"
 
@@ -271,8 +277,7 @@ def test_models_come_back_from_files(tmp_path):
     assert np.array_equal(again.offset, model.offset)
     model.save(tmp_path / "model.spz")
     again = clsplat.Gaussians.load(tmp_path / "model.spz")  # in another order
-    places = [np.sort(each.positions.astype(float) + each.offset, axis=0)
-              for each in (again, model)]
+    places = [np.sort(each.positions.astype(float) + each.offset, axis=0) for each in (again, model)]
     assert np.abs(places[0] - places[1]).max() < 1e-3
     with pytest.raises(clsplat.ClsplatError, match="model.obj"):
         model.save(tmp_path / "model.obj")
@@ -280,14 +285,19 @@ def test_models_come_back_from_files(tmp_path):
         clsplat.Gaussians.load(tmp_path / "none.ply")
 
 
-@pytest.mark.parametrize("wrong, words", [
-    (lambda: clsplat.Device("no such device"), "no device matches"),
-    (lambda: clsplat.Device(form="itme"), "itme"), (lambda: clsplat.Device(99), "99"),
-    (lambda: clsplat.Scene.read("no/such/folder"), "no such scene"),
-    (lambda: clsplat.TrainOptions(iteratons=3), "iteratons"),
-    (lambda: clsplat.train("no/such/folder"), "no such scene"),
-    (lambda: clsplat.Run.open("no/such/folder"), "no/such/folder"),
-    (lambda: clsplat.Camera.looking_at((0, 0, 0), (0, 0, 3)), "another `up`")])
+@pytest.mark.parametrize(
+    "wrong, words",
+    [
+        (lambda: clsplat.Device("no such device"), "no device matches"),
+        (lambda: clsplat.Device(form="itme"), "itme"),
+        (lambda: clsplat.Device(99), "99"),
+        (lambda: clsplat.Scene.read("no/such/folder"), "no such scene"),
+        (lambda: clsplat.TrainOptions(iteratons=3), "iteratons"),
+        (lambda: clsplat.train("no/such/folder"), "no such scene"),
+        (lambda: clsplat.Run.open("no/such/folder"), "no/such/folder"),
+        (lambda: clsplat.Camera.looking_at((0, 0, 0), (0, 0, 3)), "another `up`"),
+    ],
+)
 def test_mistakes_are_one_line(wrong, words):
     with pytest.raises(clsplat.ClsplatError, match=words) as caught:
         wrong()
@@ -332,10 +342,14 @@ def test_a_camera_looks_at_its_target():
 
 
 def ran(name, *words):
-    return subprocess.run([sys.executable, EXAMPLES / name, *map(str, words)], check=True,
-                          capture_output=True, text=True, cwd=ROOT,
-                          env={**os.environ, "PYTHONPATH": os.pathsep.join(
-                              [str(ROOT), os.environ.get("PYTHONPATH", "")])}).stdout
+    return subprocess.run(
+        [sys.executable, EXAMPLES / name, *map(str, words)],
+        check=True,
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])},
+    ).stdout
 
 
 @pytest.mark.slow
@@ -345,8 +359,9 @@ def test_example_of_rendering(run, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name, least, most", [
-    ("fit_an_image.py", 27, 99), ("fit_a_pose.py", 0, 0.02), ("fit_features.py", 0.98, 1)])
+@pytest.mark.parametrize(
+    "name, least, most", [("fit_an_image.py", 27, 99), ("fit_a_pose.py", 0, 0.02), ("fit_features.py", 0.98, 1)]
+)
 @pytest.mark.one_in(3)
 def test_examples_of_fitting_end_well(name, least, most):
     first, *_, last = (float(line.split()[2]) for line in ran(name).splitlines())
@@ -372,8 +387,7 @@ def test_example_of_torch(tmp_path):
 
 
 def test_a_damaged_checkpoint_is_one_line(scene, item_device, tmp_path):
-    stopped = clsplat.train(scene, replace(SMALL, stop_at=2), output=tmp_path / "run",
-                            device=item_device)
+    stopped = clsplat.train(scene, replace(SMALL, stop_at=2), output=tmp_path / "run", device=item_device)
     folder = RunFolder.open(stopped.path)
     arrays, state = folder.load_checkpoint()
     folder.save_checkpoint({k: v for k, v in arrays.items() if k != "row.positions"}, state)

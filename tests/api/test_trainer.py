@@ -10,8 +10,9 @@ import clsplat
 from tests.api.test_api import EXAMPLES
 from tests.data.tiny_training import CITY, model_digest
 
-TINY = clsplat.TrainOptions(iterations=6, downscale=8, sh_degree=0, exposure="off", init="sfm",
-                            schedule="constant", checkpoint_every="end")
+TINY = clsplat.TrainOptions(
+    iterations=6, downscale=8, sh_degree=0, exposure="off", init="sfm", schedule="constant", checkpoint_every="end"
+)
 
 
 @pytest.fixture(scope="module")
@@ -23,15 +24,17 @@ def scene():
 def whole(scene, item_device, tmp_path_factory):
     """A run by `train`, and the losses that a callback saw. Not to be changed."""
     losses = []
-    run = clsplat.train(scene, TINY, output=tmp_path_factory.mktemp("whole") / "run",
-                        device=item_device, callbacks=[
-                            lambda record: losses.append(record.get("loss"))
-                            if record["event"] == "step" else None])
+    run = clsplat.train(
+        scene,
+        TINY,
+        output=tmp_path_factory.mktemp("whole") / "run",
+        device=item_device,
+        callbacks=[lambda record: losses.append(record.get("loss")) if record["event"] == "step" else None],
+    )
     return run, losses
 
 
-def test_a_loop_that_is_left_and_entered_again_ends_in_the_bytes_of_train(
-        whole, scene, item_device, tmp_path):
+def test_a_loop_that_is_left_and_entered_again_ends_in_the_bytes_of_train(whole, scene, item_device, tmp_path):
     trainer, losses = clsplat.Trainer(scene, TINY, output=tmp_path / "run", device=item_device), []
     for step in trainer:
         losses.append(step.loss)
@@ -73,8 +76,14 @@ def test_the_model_is_read_and_changed_between_steps(scene, item_device, tmp_pat
 def test_a_schedule_may_be_a_class(scene, item_device, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(EXAMPLES))
     from halves import Halves
-    trainer = clsplat.Trainer(scene, replace(TINY, schedule="sig", exposure="auto"),
-                              schedule=Halves, output=tmp_path / "run", device=item_device)
+
+    trainer = clsplat.Trainer(
+        scene,
+        replace(TINY, schedule="sig", exposure="auto"),
+        schedule=Halves,
+        output=tmp_path / "run",
+        device=item_device,
+    )
     assert [step.level for step in trainer] == [2.0] * 3 + [1.0] * 3
     options = trainer.run.options
     assert options.schedule == "halves" and options.half_share == 0.5
@@ -99,7 +108,6 @@ class Counting(clsplat.Part):
 
 def test_a_part_may_be_an_argument(whole, scene, item_device, tmp_path):
     part = Counting()
-    with clsplat.Trainer(scene, TINY, parts=[part], output=tmp_path / "run",
-                         device=item_device) as trainer:
+    with clsplat.Trainer(scene, TINY, parts=[part], output=tmp_path / "run", device=item_device) as trainer:
         values = next(trainer).values
     assert 0.05 < values["counting"] < 1 and values["loss"] == whole[1][0] and part.views >= 1

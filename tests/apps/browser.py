@@ -13,9 +13,17 @@ import pytest
 from clsplat.io.photos.images import read_image
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-FLAGS = ("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
-         "--enable-unsafe-swiftshader", "--hide-scrollbars", "--no-first-run",
-         "--disable-background-networking", "--disable-component-update")
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--hide-scrollbars",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+)
 PATIENCE = 120  # seconds, for a page in software on a busy machine
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 
@@ -24,9 +32,10 @@ needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not in
 def chromium(folder, address, size=(1280, 800)):
     """Chromium with an address open, until the block ends."""
     browser = subprocess.Popen(
-        [CHROMIUM, *FLAGS, f"--user-data-dir={folder / 'profile'}",
-         f"--window-size={size[0]},{size[1]}", address], stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL)
+        [CHROMIUM, *FLAGS, f"--user-data-dir={folder / 'profile'}", f"--window-size={size[0]},{size[1]}", address],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     try:
         yield
     finally:

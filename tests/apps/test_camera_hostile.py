@@ -24,15 +24,17 @@ def nadir(width, depth, height=80.0, columns=6, rows=5):
     """The strips of a survey that look straight down, every second one flown backwards."""
     cameras = []
     for row, y in enumerate(np.linspace(-depth / 2, depth / 2, rows)):
-        for x in np.linspace(-width / 2, width / 2, columns)[::-1 if row % 2 else 1]:
+        for x in np.linspace(-width / 2, width / 2, columns)[:: -1 if row % 2 else 1]:
             up = (-1 if row % 2 else 1, 0, 0)
             cameras.append(Camera.looking_at((x, y, 0), (x, y, height), up=up))
     return cameras
 
 
 def ring(count=24, radius=10.0, height=3.0):
-    return [Camera.looking_at((0, 0, 1), (radius * np.cos(a), radius * np.sin(a), height))
-            for a in np.linspace(0, 2 * np.pi, count, endpoint=False)]
+    return [
+        Camera.looking_at((0, 0, 1), (radius * np.cos(a), radius * np.sin(a), height))
+        for a in np.linspace(0, 2 * np.pi, count, endpoint=False)
+    ]
 
 
 def facade(count=15):
@@ -44,10 +46,11 @@ def scene_of(cameras, points, **more):
     return Scene("made", views, points, np.zeros((len(points), 3), np.uint8), given_up=UP, **more)
 
 
-CORRIDOR = [Camera.looking_at((x, 40 * np.sin(x / 400), 0), (x, 40 * np.sin(x / 400), 80),
-                              up=(1, 0, 0)) for x in np.linspace(-600, 600, 40)]
-BENT = np.array([[x, 40 * np.sin(x / 400) + y, 0] for x in np.linspace(-640, 640, 200)
-                 for y in (-30, -10, 10, 30)])
+CORRIDOR = [
+    Camera.looking_at((x, 40 * np.sin(x / 400), 0), (x, 40 * np.sin(x / 400), 80), up=(1, 0, 0))
+    for x in np.linspace(-600, 600, 40)
+]
+BENT = np.array([[x, 40 * np.sin(x / 400) + y, 0] for x in np.linspace(-640, 640, 200) for y in (-30, -10, 10, 30)])
 
 SURVEYS = {
     "square": scene_of(nadir(130, 130), ground(150, 150)),
@@ -55,14 +58,20 @@ SURVEYS = {
     "one strip": scene_of(nadir(400, 0, rows=1, columns=20), ground(420, 60)),
     "one place": scene_of(nadir(0, 0, rows=3, columns=3), ground(60, 60)),
     "large unit": scene_of(nadir(130, 130), ground(150, 150), unit=1e6),
-    "stray points": scene_of(nadir(130, 130), np.concatenate([
-        ground(150, 150), ground(1e5, 1e5, 8), ground(50, 50, 4, (0, 0, -900))])),
+    "stray points": scene_of(
+        nadir(130, 130), np.concatenate([ground(150, 150), ground(1e5, 1e5, 8), ground(50, 50, 4, (0, 0, -900))])
+    ),
     "three points": scene_of(nadir(130, 130), np.array([[-60, 0, 0], [0, 1, 0], [60, 0, 0.0]])),
     "all points in one place": scene_of(nadir(130, 130), np.zeros((9, 3))),
     "tilted by 40 degrees to every side": scene_of(
-        [Camera.looking_at((x - 67 * dx, y - 67 * dy, 0), (x, y, 80)) for x in (-60, 0, 60)
-         for y in (-60, 0, 60) for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1))],
-        ground(250, 250)),
+        [
+            Camera.looking_at((x - 67 * dx, y - 67 * dy, 0), (x, y, 80))
+            for x in (-60, 0, 60)
+            for y in (-60, 0, 60)
+            for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1))
+        ],
+        ground(250, 250),
+    ),
 }
 
 
@@ -75,9 +84,9 @@ def test_a_film_over_a_survey_can_be_watched(name):
     """It is steady, oblique and upright."""
     cameras = film_of(SURVEYS[name])
     ways = np.linalg.norm(np.diff([camera.position for camera in cameras], axis=0), axis=1)
-    turns = FPS * np.degrees([
-        np.arccos(np.clip((np.trace(b.rotation @ a.rotation.T) - 1) / 2, -1, 1))
-        for a, b in zip(cameras, cameras[1:])])
+    turns = FPS * np.degrees(
+        [np.arccos(np.clip((np.trace(b.rotation @ a.rotation.T) - 1) / 2, -1, 1)) for a, b in zip(cameras, cameras[1:])]
+    )
     assert turns.max() <= MOST_TURN and turns.std() < 1 + turns.mean()
     assert abs(ways / np.median(ways) - 1).max() < SPEED_SPREAD
     slopes = np.array([camera.rotation[2] @ UP for camera in cameras])
@@ -100,11 +109,14 @@ def model_at(positions):
     return Gaussians({**rows, "positions": np.asarray(positions, np.float32)}, 0)
 
 
-@pytest.mark.parametrize("positions, kept", [
-    ([[0, 0, 0], [300, 0, 0], [0, 0, 500]], [True, False, False]),
-    ([[300, 0, 0], [0, 300, 0]], [True, True]),  # none is supported: a film of nothing helps nobody
-    ([[0, 0, 0], [np.nan, 0, 0], [1e30, 0, 0]], [True, False, False]),
-])
+@pytest.mark.parametrize(
+    "positions, kept",
+    [
+        ([[0, 0, 0], [300, 0, 0], [0, 0, 500]], [True, False, False]),
+        ([[300, 0, 0], [0, 300, 0]], [True, True]),  # none is supported: a film of nothing helps nobody
+        ([[0, 0, 0], [np.nan, 0, 0], [1e30, 0, 0]], [True, False, False]),
+    ],
+)
 @pytest.mark.parametrize("offset, unit", [((0, 0, 0), 1.0), ((5e5, 5.7e6, 300), 2.0)])
 def test_what_fewer_than_two_photos_show_is_left_out(positions, kept, offset, unit, caplog):
     scene = scene_of(nadir(130, 130), ground(150, 150), offset=np.array(offset, float), unit=unit)
@@ -112,14 +124,14 @@ def test_what_fewer_than_two_photos_show_is_left_out(positions, kept, offset, un
     model = Gaussians(model.rows, 0, np.array(offset, float))
     assert supported(model, in_original(scene)).tolist() == kept
     warned = [line.getMessage() for line in caplog.records]
-    assert warned == ["no two photos show any of the 2 gaussians, so all are kept"] * (
-        kept == [True, True])
+    assert warned == ["no two photos show any of the 2 gaussians, so all are kept"] * (kept == [True, True])
 
 
-@pytest.mark.parametrize("cameras, first, low, high", [
-    (nadir(130, 130), -50, -90, -30), (facade(), 0, -27, 20), (ring(), -11, -31, 9),
-    ([], -50, -70, -30),
-], ids=["survey", "facade", "ring", "no scene"])
+@pytest.mark.parametrize(
+    "cameras, first, low, high",
+    [(nadir(130, 130), -50, -90, -30), (facade(), 0, -27, 20), (ring(), -11, -31, 9), ([], -50, -70, -30)],
+    ids=["survey", "facade", "ring", "no scene"],
+)
 def test_the_reader_looks_where_photos_looked(cameras, first, low, high):
     angle = np.radians(first)
     camera = Camera.looking_at((0, 0, 0), -100 * np.array([np.cos(angle), 0, np.sin(angle)]))
@@ -131,10 +143,11 @@ def test_the_reader_looks_where_photos_looked(cameras, first, low, high):
     assert record["ground"] <= camera.position[2]
 
 
-@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((2, 3), np.nan), np.zeros((1, 3)),
-                                    np.float32([[3e38, 3e38, 3e38]])],
-                         ids=["none", "not finite", "one", "largest"])
+@pytest.mark.parametrize(
+    "points",
+    [np.zeros((0, 3)), np.full((2, 3), np.nan), np.zeros((1, 3)), np.float32([[3e38, 3e38, 3e38]])],
+    ids=["none", "not finite", "one", "largest"],
+)
 def test_limits_are_finite_for_every_model(points):
     record = view_record(Camera.looking_at((0, 0, 0), (0, -10, 5)), UP, points)
-    assert np.isfinite([record["reach"], *record["pitches"], *record["middle"],
-                        record["ground"]]).all()
+    assert np.isfinite([record["reach"], *record["pitches"], *record["middle"], record["ground"]]).all()

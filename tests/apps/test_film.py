@@ -60,13 +60,20 @@ def camera_path(tmp_path, *frames, **more):
 
 def opengl(position, **more):
     """A key that looks along -z, right x and up y."""
-    return {"transform_matrix": [[1, 0, 0, position[0]], [0, 1, 0, position[1]],
-                                 [0, 0, 1, position[2]], [0, 0, 0, 1]], **more}
+    return {
+        "transform_matrix": [[1, 0, 0, position[0]], [0, 1, 0, position[1]], [0, 0, 1, position[2]], [0, 0, 0, 1]],
+        **more,
+    }
 
 
 def test_a_camera_path_is_read(tmp_path):
-    path = camera_path(tmp_path, opengl((1, 2, 3), time=10), opengl((1, 2, 5), time=11),
-                       opengl((1, 2, 9), time=15, camera_angle_x=0.5), camera_angle_x=1.0)
+    path = camera_path(
+        tmp_path,
+        opengl((1, 2, 3), time=10),
+        opengl((1, 2, 5), time=11),
+        opengl((1, 2, 9), time=15, camera_angle_x=0.5),
+        camera_angle_x=1.0,
+    )
     keys = read_camera_path(path)
     assert np.allclose(keys.times, [0, 0.2, 1]) and np.allclose(keys.positions[2], (1, 2, 9))
     assert np.allclose(keys.rotations[0], np.diag([1, -1, -1]))
@@ -78,16 +85,24 @@ def test_a_camera_path_is_read(tmp_path):
     assert np.allclose(alone[2].position, (1, 2, 3)) and alone[0].focal[0] == pytest.approx(32)
 
 
-@pytest.mark.parametrize("frames, more", [
-    ([], {}), ([{}], {}), ([3], {}), ([opengl((1, 2, float("nan")))], {}),
-    ([{"transform_matrix": [[1, 2], [3, 4]]}], {}),
-    ([{"transform_matrix": np.zeros((4, 4)).tolist()}], {}),
-    ([{"transform_matrix": np.diag([1, 1, -1, 1]).tolist()}], {}),
-    ([opengl((1, 2, 3), time=1), opengl((1, 2, 3), time=1)], {}),
-    ([opengl((1, 2, 3), time=1), opengl((1, 2, 4))], {}),
-    ([opengl((1, 2, 3))], {"camera_angle_x": 4}), ([opengl((1, 2, 3))], {"camera_angle_x": "a"}),
-    ([opengl((1, 2, 3))], {"fl_x": 0, "w": 100}), ([opengl((1, 2, 10**400))], {}),
-])
+@pytest.mark.parametrize(
+    "frames, more",
+    [
+        ([], {}),
+        ([{}], {}),
+        ([3], {}),
+        ([opengl((1, 2, float("nan")))], {}),
+        ([{"transform_matrix": [[1, 2], [3, 4]]}], {}),
+        ([{"transform_matrix": np.zeros((4, 4)).tolist()}], {}),
+        ([{"transform_matrix": np.diag([1, 1, -1, 1]).tolist()}], {}),
+        ([opengl((1, 2, 3), time=1), opengl((1, 2, 3), time=1)], {}),
+        ([opengl((1, 2, 3), time=1), opengl((1, 2, 4))], {}),
+        ([opengl((1, 2, 3))], {"camera_angle_x": 4}),
+        ([opengl((1, 2, 3))], {"camera_angle_x": "a"}),
+        ([opengl((1, 2, 3))], {"fl_x": 0, "w": 100}),
+        ([opengl((1, 2, 10**400))], {}),
+    ],
+)
 def test_a_damaged_camera_path_is_refused(tmp_path, frames, more):
     refused(lambda: read_camera_path(camera_path(tmp_path, *frames, **more)), "not a camera path")
     refused(lambda: read_camera_path(tmp_path / "none.json"), "none.json")
@@ -97,14 +112,15 @@ def test_a_damaged_camera_path_is_refused(tmp_path, frames, more):
 def command(tmp_path, monkeypatch):
     """Runs `clsplat film` on the made-up scene."""
     scene = made.scene(None)
-    run = SimpleNamespace(path=tmp_path, finished_model=made.model(), options=TrainOptions(),
-                          scene=lambda _=None: scene, up=scene.up)
+    run = SimpleNamespace(
+        path=tmp_path, finished_model=made.model(), options=TrainOptions(), scene=lambda _=None: scene, up=scene.up
+    )
     monkeypatch.setattr(Run, "open", lambda path: run)
 
     def run_film(output, *words):
-        result = clsplat_("film", "run", "-o", tmp_path / output, "--size", "64x48", "--fps", 5,
-                          "--seconds", 1, *words)
+        result = clsplat_("film", "run", "-o", tmp_path / output, "--size", "64x48", "--fps", 5, "--seconds", 1, *words)
         return result.exit_code, result.output
+
     return run_film
 
 
@@ -149,12 +165,16 @@ def test_a_film(tmp_path, command):
     assert code == 2 and "--overwrite" in said
 
 
-@pytest.mark.parametrize("words, message", [
-    (("film.avi",), "unknown suffix"), (("film.mp4", "--size", "63x48"), "even numbers"),
-    (("film.mp4", "--size", "63"), "not a size"),
-    (("film.mp4", "--path", "none.json"), "none.json"),
-    (("film.mp4", "--host-memory", "64"), "--host-memory: has no effect on run, which is no city"),
-])
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (("film.avi",), "unknown suffix"),
+        (("film.mp4", "--size", "63x48"), "even numbers"),
+        (("film.mp4", "--size", "63"), "not a size"),
+        (("film.mp4", "--path", "none.json"), "none.json"),
+        (("film.mp4", "--host-memory", "64"), "--host-memory: has no effect on run, which is no city"),
+    ],
+)
 def test_wrong_words_get_a_line(tmp_path, command, words, message):
     pytest.importorskip("av", reason="av is not installed (extra film)")
     code, said = command(*words)

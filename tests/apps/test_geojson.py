@@ -21,9 +21,15 @@ def polygon(*rings):
 
 def test_every_place_of_a_polygon(tmp_path):
     other = {"type": "MultiPolygon", "coordinates": [[RING], [RING, RING]]}
-    features = [{"type": "Feature", "geometry": geometry} for geometry in (
-        polygon(RING), None, {"type": "Point", "coordinates": [1, 2]},
-        {"type": "GeometryCollection", "geometries": [other]})]
+    features = [
+        {"type": "Feature", "geometry": geometry}
+        for geometry in (
+            polygon(RING),
+            None,
+            {"type": "Point", "coordinates": [1, 2]},
+            {"type": "GeometryCollection", "geometries": [other]},
+        )
+    ]
     polygons, crs = read(tmp_path, {"type": "FeatureCollection", "features": features})
     assert sorted(map(len, polygons)) == [1, 1, 2] and crs == ""
     assert np.array_equal(polygons[0][0], np.array(RING[:1] + [[4, 0], [4, 4], [0, 0]]))
@@ -39,13 +45,30 @@ def test_the_crs_of_older_files(tmp_path):
         assert read(tmp_path, {**polygon(RING), "crs": odd})[1] == ""
 
 
-@pytest.mark.parametrize("record", [
-    "", "{", "[]", "7", '{"type": "Polygon", "coordinates": [[[NaN, 0], [1, 0], [1, 1]]]}',
-    {"type": "Feature", "geometry": 7}, {"type": "Circle"}, {},
-    {"type": "FeatureCollection", "features": {}}, polygon(), polygon([]), polygon(RING[:2]),
-    polygon([[0, 0], [1], [1, 1]]), polygon([[0, 0], ["x", 0], [1, 1]]), polygon(7),
-    polygon([[0, 0], [1e300, 0], [1, 1]]), {"type": "Feature"},
-    {"type": "MultiPolygon", "coordinates": [7]}, '{"type":' * 3000])
+@pytest.mark.parametrize(
+    "record",
+    [
+        "",
+        "{",
+        "[]",
+        "7",
+        '{"type": "Polygon", "coordinates": [[[NaN, 0], [1, 0], [1, 1]]]}',
+        {"type": "Feature", "geometry": 7},
+        {"type": "Circle"},
+        {},
+        {"type": "FeatureCollection", "features": {}},
+        polygon(),
+        polygon([]),
+        polygon(RING[:2]),
+        polygon([[0, 0], [1], [1, 1]]),
+        polygon([[0, 0], ["x", 0], [1, 1]]),
+        polygon(7),
+        polygon([[0, 0], [1e300, 0], [1, 1]]),
+        {"type": "Feature"},
+        {"type": "MultiPolygon", "coordinates": [7]},
+        '{"type":' * 3000,
+    ],
+)
 def test_what_is_no_polygon(tmp_path, record):
     refused(lambda: read(tmp_path, record), "area.geojson: not GeoJSON, damaged or")
 

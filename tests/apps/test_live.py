@@ -27,9 +27,14 @@ FRAME = (64, 48)
 
 
 def record_of(camera):
-    return {"width": camera.width, "height": camera.height, "focal": camera.focal,
-            "centre": camera.centre, "rotation": camera.rotation.tolist(),
-            "position": camera.position.tolist()}
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "focal": camera.focal,
+        "centre": camera.centre,
+        "rotation": camera.rotation.tolist(),
+        "position": camera.position.tolist(),
+    }
 
 
 def asked(address, what, camera):
@@ -62,29 +67,36 @@ class Eager(TrainingView):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("changes", [
-    {"iterations": 50},  # a mean of the last steps would not be what was seen in the last
-    pytest.param({**LEVELLED, "average": 0.0}, marks=pytest.mark.nightly)],
-    ids=["short", "levelled"])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"iterations": 50},  # a mean of the last steps would not be what was seen in the last
+        pytest.param({**LEVELLED, "average": 0.0}, marks=pytest.mark.nightly),
+    ],
+    ids=["short", "levelled"],
+)
 def test_watching_changes_no_byte(item_device, city, tmp_path, monkeypatch, changes):
     options = options_of(**changes)
     plain, run = RunFolder.create(tmp_path / "plain"), RunFolder.create(tmp_path / "watched")
     train(city, options, item_device, plain)
     with Eager(city) as view:
         train(city, options, item_device, run, view, watcher=view)
-    assert len(view.asked) == options.iterations and not any(
-        request.answer.exception(0) for request in view.asked)
+    assert len(view.asked) == options.iterations and not any(request.answer.exception(0) for request in view.asked)
     assert model_digest(run) == model_digest(plain)
     assert view._status["total"] == options.iterations and len(view._status["losses"]) > 1
     last = view.asked[-2]  # the last steps change little
     model = Run.open(run.path).model
-    shown = render_view(*open_model(item_device, model, city.near_plane), model.sh_degree,
-                        last.camera.shifted(model.offset - last.camera.offset))
+    shown = render_view(
+        *open_model(item_device, model, city.near_plane),
+        model.sh_degree,
+        last.camera.shifted(model.offset - last.camera.offset),
+    )
     image = last.answer.result(0)
     assert np.abs(shown - image).mean() < 0.02 < image.std()
 
     def no_memory(*_):
         raise MemoryError("too large")
+
     monkeypatch.setattr(FrameRequest, "drawn", no_memory)
     run = RunFolder.create(tmp_path / "blind")
     with Eager(city) as view:
@@ -134,11 +146,11 @@ def shown_on_a_page(run, device, camera, middle):
         if raise_in_next:
             raise KeyboardInterrupt
         return original(self, 0.05)
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(live.FrameRequests, "next", until_answered)
         with pytest.raises(KeyboardInterrupt):
-            show_run(run, device, lambda address: threading.Thread(
-                target=ask, args=(address,), daemon=True).start())
+            show_run(run, device, lambda address: threading.Thread(target=ask, args=(address,), daemon=True).start())
     return answers
 
 
@@ -166,7 +178,11 @@ SERVER = """<head><script>
 @needs_chromium
 def test_the_page_asks_for_frames_and_tells_how_the_training_goes(tmp_path, city):
     page = live_page("a city", view_record(city.first_view, city.up, city.points))
-    found = json.loads(answer_of(tmp_path, page.replace("<head>", SERVER, 1), """
+    found = json.loads(
+        answer_of(
+            tmp_path,
+            page.replace("<head>", SERVER, 1),
+            """
       const view = page.viewer, text = (name) => page.document.getElementById(name).textContent;
       const { asked } = page.eval("({ asked })"), camera = view.camera, found = {};
       await until(() => view.shown && text("facts").includes("gaussians"));
@@ -189,7 +205,9 @@ def test_the_page_asks_for_frames_and_tells_how_the_training_goes(tmp_path, city
       page.eval("isThere = false");
       await until(() => view.ended);
       found.end = text("notice");
-      return JSON.stringify(found);"""))
+      return JSON.stringify(found);""",
+        )
+    )
     first = found["first"]
     assert 3 * first["width"] == 4 * first["height"] > 900
     assert np.allclose(first["position"], city.first_view.position)

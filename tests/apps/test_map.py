@@ -20,16 +20,30 @@ from clsplat.options import TrainOptions
 from tests.command_line import clsplat_
 from tests.data import ground_model as made
 
-FILES = {"orthophoto.tif", "surface.tif", "surface.qml", "hillshade.tif", "hillshade.qml",
-         "contours.geojson", "preview.png", "survey.pdf", "map.json"}
+FILES = {
+    "orthophoto.tif",
+    "surface.tif",
+    "surface.qml",
+    "hillshade.tif",
+    "hillshade.qml",
+    "contours.geojson",
+    "preview.png",
+    "survey.pdf",
+    "map.json",
+}
 
 
 def run_of(path, scene):
     """What a map needs of a run."""
-    return SimpleNamespace(path=path, finished_model=made.model(), options=TrainOptions(),
-                           scene=lambda _=None, whole=False: scene,
-                           as_trained=lambda whole: whole, georeference=scene.georeference,
-                           up=scene.up)
+    return SimpleNamespace(
+        path=path,
+        finished_model=made.model(),
+        options=TrainOptions(),
+        scene=lambda _=None, whole=False: scene,
+        as_trained=lambda whole: whole,
+        georeference=scene.georeference,
+        up=scene.up,
+    )
 
 
 def drawn(device, folder, resolution=0.05, georeference=made.UTM, bounds=None, **options):
@@ -41,8 +55,7 @@ def drawn(device, folder, resolution=0.05, georeference=made.UTM, bounds=None, *
 
 def rasters(folder):
     """Colours [H, W, 4] and heights [H, W] of a map."""
-    with rasterio.open(folder / "orthophoto.tif") as colours, rasterio.open(
-            folder / "surface.tif") as surface:
+    with rasterio.open(folder / "orthophoto.tif") as colours, rasterio.open(folder / "surface.tif") as surface:
         return np.moveaxis(colours.read(), 0, -1), surface.read(1)
 
 
@@ -70,23 +83,25 @@ def test_colours_heights_and_places(house):
     assert {path.name for path in folder.iterdir()} == FILES
     assert colours.shape == (grid.rows, grid.columns, 4) and heights.shape == colours.shape[:2]
     base = made.OFFSET[2] + made.UTM.offset[2]
-    for place, height, colour in (((0, 0), made.ROOF, made.ROOF_BLUE), ((8, -7), 0,
-                                                                        made.GROUND_RED)):
+    for place, height, colour in (((0, 0), made.ROOF, made.ROOF_BLUE), ((8, -7), 0, made.GROUND_RED)):
         at = np.floor(grid.pixels(made.OFFSET[None] + made.UTM.offset + (*place, 0))).astype(int)
         column, row = at[0]
         assert abs(heights[row, column] - base - height) < 2e-3
         assert abs(colours[row, column, :3] - np.multiply(colour, 255)).max() <= 4
         assert colours[row, column, 3] == 255
     # straight from above the house is as large as its roof, and where it is: walls do not show
-    corners = grid.pixels(np.array([[-1, 1], [1, -1]]) * (made.HOUSE + 1.4 * made.SPACING)
-                          + (made.OFFSET + made.UTM.offset)[:2])  # the edge of gaussians is soft
+    corners = grid.pixels(
+        np.array([[-1, 1], [1, -1]]) * (made.HOUSE + 1.4 * made.SPACING) + (made.OFFSET + made.UTM.offset)[:2]
+    )  # the edge of gaussians is soft
     assert abs(corner_pixels(colours) - corners).max() <= 1
 
 
 def test_tags_place_it_on_the_earth(house):
     folder, grid, *_ = house
-    for name, bands, unit in (("orthophoto.tif", ("red", "green", "blue", "alpha"), None),
-                              ("surface.tif", ("height", "spread"), "metre")):
+    for name, bands, unit in (
+        ("orthophoto.tif", ("red", "green", "blue", "alpha"), None),
+        ("surface.tif", ("height", "spread"), "metre"),
+    ):
         with rasterio.open(folder / name) as file:
             assert file.crs.to_epsg() == 32633 and np.allclose(file.bounds, grid.bounds)
             assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
@@ -102,8 +117,7 @@ def test_contour_lines_surround_the_house_in_degrees(house):
     folder, grid, record, *_ = house
     lines = json.loads((folder / "contours.geojson").read_text())["features"]
     base = made.OFFSET[2] + made.UTM.offset[2]
-    assert lines and all(base < line["properties"]["elevation"] < base + made.ROOF
-                         for line in lines)
+    assert lines and all(base < line["properties"]["elevation"] < base + made.ROOF for line in lines)
     middle = (made.OFFSET + made.UTM.offset)[:2]
     for line in lines:
         places = [[*place, 0] for place in line["geometry"]["coordinates"]]
@@ -117,7 +131,8 @@ def test_tiles_and_overviews_continue(item_device, tmp_path):
     cloud-optimised GeoTIFF: a strip from west to east, across the edge of the house."""
     left, bottom, *_ = corner = (made.OFFSET + made.UTM.offset)[:2] - (12, -1)
     grid, record, colours, heights = drawn(
-        item_device, tmp_path, 0.02, bounds=(*corner, left + 24, bottom + 6), terrain=7.0)
+        item_device, tmp_path, 0.02, bounds=(*corner, left + 24, bottom + 6), terrain=7.0
+    )
     assert max(grid.tiles) > 2
     heights = heights - made.UTM.offset[2]
     known = ~np.isnan(heights)
@@ -216,8 +231,13 @@ def test_the_memory_of_a_large_map_does_not_grow_with_it(tmp_path):
     for side in (200, 6000):  # the first compiles the kernels, which some compilers need more for
         folder = tmp_path / str(side)
         folder.mkdir()
-        done = subprocess.run([sys.executable, "-c", PROGRAM, str(folder), str(side)],
-                              capture_output=True, text=True, timeout=1800, check=False)
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM, str(folder), str(side)],
+            capture_output=True,
+            text=True,
+            timeout=1800,
+            check=False,
+        )
         assert done.returncode == 0, done.stderr
     assert float(done.stdout) < LIMIT_MIB
     assert (folder / "orthophoto.tif").stat().st_size < 200e6

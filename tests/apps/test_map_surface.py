@@ -26,7 +26,7 @@ from tests.data import ground_model as made
 CODELESS = {
     "compound": "EPSG:32633+5773",
     "towgs84": "+proj=tmerc +lat_0=0 +lon_0=15 +k=1 +x_0=5500000 +ellps=bessel "
-               "+towgs84=598.1,73.7,418.2,0.202,0.045,-2.455,6.7",
+    "+towgs84=598.1,73.7,418.2,0.202,0.045,-2.455,6.7",
 }
 
 
@@ -52,9 +52,15 @@ def with_holes():
     model.positions[hole, 2] = -10
     thin = (abs(x - 7) < 1.5) & (abs(y + 7) < 1.5)
     model.opacity_logits[thin] = -2.2
-    stray = Gaussians({**{name: rows[:1].copy() for name, rows in model.rows.items()},
-                       "positions": np.array([[7, -7, -30]], np.float32),
-                       "log_scales": np.log(np.array([[3, 3, 0.1]], np.float32))}, 0, made.OFFSET)
+    stray = Gaussians(
+        {
+            **{name: rows[:1].copy() for name, rows in model.rows.items()},
+            "positions": np.array([[7, -7, -30]], np.float32),
+            "log_scales": np.log(np.array([[3, 3, 0.1]], np.float32)),
+        },
+        0,
+        made.OFFSET,
+    )
     rows = {name: np.concatenate([values, stray.rows[name]]) for name, values in model.rows.items()}
     return Gaussians(rows, 0, made.OFFSET)
 
@@ -64,14 +70,14 @@ def test_a_pit_is_left_out_and_a_true_hole_stays(item_device, tmp_path, no_pictu
     points = model.positions[model.positions[:, 2] > -20].astype(float)
     scene = dataclasses.replace(scene, points=points, colours=np.zeros((len(points), 3), np.uint8))
     grid = dataclasses.replace(map_grid(scene, 0.1), floor=-np.inf)  # the local rule alone
-    run = SimpleNamespace(path=tmp_path, finished_model=model, options=TrainOptions(),
-                          georeference=None)
+    run = SimpleNamespace(path=tmp_path, finished_model=model, options=TrainOptions(), georeference=None)
     record = write_map(run, scene, grid, item_device, tmp_path, interval=0)
     colours, heights = rasters(tmp_path)
 
     def at(x, y):
         column, row = np.floor(grid.pixels(made.OFFSET[None] + (x, y, 0))).astype(int)[0]
-        return np.s_[row - 5:row + 6, column - 5:column + 6]
+        return np.s_[row - 5 : row + 6, column - 5 : column + 6]
+
     assert abs(heights[at(-7, 6)] - (7 - 10)).max() < 0.1, "the bottom of the hole"
     assert np.isnan(heights[at(7, -7)]).all() and record["pits"] > 400
     assert (colours[at(7, -7)][..., 3] == 255).all(), "its colour stays"
@@ -84,8 +90,7 @@ def test_the_extent_is_that_of_all_that_is_covered(item_device, tmp_path):
     scene = made.scene(None)
     kept = scene.points[:, 0] < 3
     half = dataclasses.replace(scene, points=scene.points[kept], colours=scene.colours[kept])
-    record = write_map(run_of(tmp_path, half), half, map_grid(half, 0.1), item_device,
-                       tmp_path, follow=True)
+    record = write_map(run_of(tmp_path, half), half, map_grid(half, 0.1), item_device, tmp_path, follow=True)
     left, bottom, right, top = record["bounds"]
     middle = made.OFFSET[:2]
     assert abs(np.array([left, bottom, right, top]) - [*(middle - 12), *(middle + 12)]).max() < 1
@@ -131,10 +136,10 @@ REFUSED = [
     (["--bounds", "nan", "0", "1", "1"], "--bounds"),
     (["--bounds", "0", "5", "1", "1"], "--bounds"),
     (["--bounds", "-1e300", "-1e300", "1e300", "1e300"], "pixels along a side"),
-    pytest.param(["--bounds", "0", "0", "10", "10", "--resolution", "1"], "other --bounds",
-                 marks=pytest.mark.slow),
-    pytest.param(["--contours", "1e-300", "--resolution", "1"], "larger interval",
-                 marks=pytest.mark.slow),  # after drawing
+    pytest.param(["--bounds", "0", "0", "10", "10", "--resolution", "1"], "other --bounds", marks=pytest.mark.slow),
+    pytest.param(
+        ["--contours", "1e-300", "--resolution", "1"], "larger interval", marks=pytest.mark.slow
+    ),  # after drawing
 ]
 
 
@@ -146,11 +151,13 @@ def mapped(tmp_path, monkeypatch):
         monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene(place)))
         folder = tmp_path / "map"
         return folder, clsplat_("map", "run", "-o", folder, *words)
+
     return call
 
 
-@pytest.mark.parametrize("words, message", REFUSED, ids=lambda value: " ".join(value)
-                         if isinstance(value, list) else "")
+@pytest.mark.parametrize(
+    "words, message", REFUSED, ids=lambda value: " ".join(value) if isinstance(value, list) else ""
+)
 def test_refused_in_one_line(mapped, words, message):
     folder, result = mapped(words)
     assert result.exit_code == 2 and message in result.output, result.output
@@ -162,13 +169,20 @@ def test_refused_in_one_line(mapped, words, message):
 @pytest.mark.slow
 def test_all_that_a_georeference_holds_is_told(mapped):
     known = dataclasses.replace(
-        made.UTM, crs=normal_crs(COMPOUND), vertical="EGM96 height (EPSG:5773)",
+        made.UTM,
+        crs=normal_crs(COMPOUND),
+        vertical="EGM96 height (EPSG:5773)",
         warnings=("the residual is 9 % of the flight's size: check the GPS",),
-        residuals=tuple(Residual(str(sign), "check", sign * 0.25, 0.25, None) for sign in (-1, 1)))
+        residuals=tuple(Residual(str(sign), "check", sign * 0.25, 0.25, None) for sign in (-1, 1)),
+    )
     folder, result = mapped(["--resolution", "0.5", "--bounds", *NEAR], known)
     assert result.exit_code == 0, result.output
-    for words in ("heights: EGM96 height", "residual 0.10 m", "warning: the residual is 9 %",
-                  "check RMS: east 0.25 m, north 0.25 m"):
+    for words in (
+        "heights: EGM96 height",
+        "residual 0.10 m",
+        "warning: the residual is 9 %",
+        "check RMS: east 0.25 m, north 0.25 m",
+    ):
         assert words in result.output
     record = json.loads((folder / "map.json").read_text())
     assert record["georeference"]["residuals_rms"] == {"check": {"east": 0.25, "north": 0.25}}

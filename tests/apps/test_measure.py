@@ -48,8 +48,11 @@ def surfaces(tmp_path_factory):
     folder = tmp_path_factory.mktemp("surfaces")
     x, y = places()
     slope = 50 + 0.05 * x - 0.02 * y
-    return (write_surface(folder / "late.tif", noisy(slope + heap(x, y))),
-            write_surface(folder / "early.tif", noisy(slope, 2)), folder)
+    return (
+        write_surface(folder / "late.tif", noisy(slope + heap(x, y))),
+        write_surface(folder / "early.tif", noisy(slope, 2)),
+        folder,
+    )
 
 
 def measured(surface, folder, *features, system=CRS, base="fit", before=None, **members):
@@ -59,9 +62,9 @@ def measured(surface, folder, *features, system=CRS, base="fit", before=None, **
 
 def test_the_volume_of_a_heap_on_a_slope(surfaces):
     late, _, folder = surfaces
-    row, = measured(late, folder, feature("Polygon", [circle(RADIUS + 1)])).record["features"]
+    (row,) = measured(late, folder, feature("Polygon", [circle(RADIUS + 1)])).record["features"]
     assert abs(row["volume"] / HEAP_VOLUME - 1) < 0.02
-    assert abs(row["area"] / (np.pi * (RADIUS + 1)**2) - 1) < 1e-3 and row["known"] == 1
+    assert abs(row["area"] / (np.pi * (RADIUS + 1) ** 2) - 1) < 1e-3 and row["known"] == 1
     assert abs(row["base_slope"] - np.hypot(0.05, 0.02)) < 2e-3
     assert abs(row["base_height"] - 50) < 0.02
     assert abs(row["highest"] - 50 - HEIGHT) < 5 * NOISE and row["lowest"] < 49.4
@@ -73,36 +76,37 @@ def test_the_volume_of_a_heap_on_a_slope(surfaces):
 def test_other_bases_are_level(surfaces, base, level):
     late, _, folder = surfaces
     half = 13.0
-    row, = measured(late, folder, feature("Polygon", [square(half)]), base=base
-                    ).record["features"]
+    (row,) = measured(late, folder, feature("Polygon", [square(half)]), base=base).record["features"]
     lowest = 50 - 0.07 * half
     level = lowest if base == "lowest" else level
-    expected = HEAP_VOLUME + (50 - level) * (2 * half)**2
+    expected = HEAP_VOLUME + (50 - level) * (2 * half) ** 2
     slack = 5 * NOISE if base == "lowest" else 0.01
     assert abs(row["base_height"] - level) < slack and row["base_slope"] == 0
-    assert abs(row["volume"] - expected) < 0.02 * expected + slack * (2 * half)**2
+    assert abs(row["volume"] - expected) < 0.02 * expected + slack * (2 * half) ** 2
 
 
 def test_holes_and_several_parts(surfaces):
     late, _, folder = surfaces
     corner = MIDDLE + 21  # all borders are those of pixels
     shape = [[square(7.5), square(4.5)], [square(3, corner)]]
-    row, = measured(late, folder, feature("MultiPolygon", shape), base=0.0).record["features"]
+    (row,) = measured(late, folder, feature("MultiPolygon", shape), base=0.0).record["features"]
     assert abs(row["area"] - (15**2 - 9**2 + 6**2)) < 1e-6
     assert abs(row["volume"] / row["area"] / row["mean"] - 1) < 1e-3
-    whole, = measured(late, folder, feature("Polygon", [square(7.5)]), base=0.0).record["features"]
-    hole, part = (measured(late, folder, feature("Polygon", [ring]), base=0.0
-                           ).record["features"][0] for ring in (square(4.5), square(3, corner)))
-    assert abs(row["volume"] - whole["volume"] + hole["volume"] - part["volume"]
-               ) < 1e-3 * whole["volume"]
+    (whole,) = measured(late, folder, feature("Polygon", [square(7.5)]), base=0.0).record["features"]
+    hole, part = (
+        measured(late, folder, feature("Polygon", [ring]), base=0.0).record["features"][0]
+        for ring in (square(4.5), square(3, corner))
+    )
+    assert abs(row["volume"] - whole["volume"] + hole["volume"] - part["volume"]) < 1e-3 * whole["volume"]
 
 
 def test_lengths_along_a_ramp_and_its_profile(tmp_path):
     x, y = places()
     surface = write_surface(tmp_path / "ramp.tif", noisy(10 + 0.75 * x))
     line = [(MIDDLE + (-20, 0)).tolist(), (MIDDLE + (12, 0)).tolist(), (MIDDLE + (12, 9)).tolist()]
-    result = measured(surface, tmp_path, feature("LineString", line, "ramp"),
-                      feature("MultiLineString", [line[:2], line[1:]]))
+    result = measured(
+        surface, tmp_path, feature("LineString", line, "ramp"), feature("MultiLineString", [line[:2], line[1:]])
+    )
     row, parts = result.record["features"]
     assert abs(row["length"] - 41) < 1e-6 and abs(row["surface_length"] - (32 * 1.25 + 9)) < 0.25
     assert parts["length"] == row["length"]
@@ -141,21 +145,25 @@ def test_the_noise_of_a_volume_has_what_neighbours_share(tmp_path):
     for wave in (0, 0.05 * np.sin(x / 4) * np.cos(y / 4)):
         late = write_surface(tmp_path / "late.tif", noisy(0 * x + wave))
         early = write_surface(tmp_path / "early.tif", noisy(0 * x, 2))
-        row, = measured(late, tmp_path, still, before=early).record["features"]
+        (row,) = measured(late, tmp_path, still, before=early).record["features"]
         found.append(row["net_noise"])
     assert found[0] < 0.05 and found[1] > 0.2
 
 
-@pytest.mark.parametrize("members, target", [
-    ({}, "EPSG:4326"), ({}, CRS),
-    ({"crs": {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25832"}}},
-     "EPSG:25832"),
-    ({"crs": {"type": "name", "properties": {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}}},
-     "EPSG:4326")], ids=["degrees", "map", "another", "named degrees"])
+@pytest.mark.parametrize(
+    "members, target",
+    [
+        ({}, "EPSG:4326"),
+        ({}, CRS),
+        ({"crs": {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25832"}}}, "EPSG:25832"),
+        ({"crs": {"type": "name", "properties": {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}}}, "EPSG:4326"),
+    ],
+    ids=["degrees", "map", "another", "named degrees"],
+)
 def test_every_system_of_a_file_gives_the_same(surfaces, members, target):
     late, _, folder = surfaces
     ring = on_ground(CRS, target, np.pad(square(13), ((0, 0), (0, 1))))[:, :2].tolist()
-    row, = measured(late, folder, feature("Polygon", [ring]), **members).record["features"]
+    (row,) = measured(late, folder, feature("Polygon", [ring]), **members).record["features"]
     assert abs(row["area"] - 26**2) < 1e-3 and abs(row["volume"] / HEAP_VOLUME - 1) < 0.02
 
 
@@ -164,8 +172,9 @@ def test_unknown_heights_are_stated_and_local_coordinates_read(tmp_path):
     heights = np.where(x < 0, np.nan, 5.0)
     surface = write_surface(tmp_path / "half.tif", heights, crs=None)
     line = [(MIDDLE - (10, 0)).tolist(), (MIDDLE + (10, 0)).tolist()]
-    record = measured(surface, tmp_path, feature("Polygon", [square(10)]),
-                      feature("LineString", line), system=None, base=4.0).record
+    record = measured(
+        surface, tmp_path, feature("Polygon", [square(10)]), feature("LineString", line), system=None, base=4.0
+    ).record
     area, way = record["features"]
     assert record["unit"] == "scene units" and abs(area["known"] - 0.5) < 0.01
     assert abs(area["volume"] - 200) < 1 and abs(way["known"] - 0.5) < 0.02
@@ -175,7 +184,7 @@ def test_unknown_heights_are_stated_and_local_coordinates_read(tmp_path):
 def test_a_polygon_beyond_the_map_has_a_share_that_is_known(surfaces):
     late, early, folder = surfaces
     half = feature("Polygon", [square(10, MIDDLE + (PIXEL * SIDE / 2, 0))])
-    row, = measured(late, folder, half, before=early, base=0.0).record["features"]
+    (row,) = measured(late, folder, half, before=early, base=0.0).record["features"]
     assert abs(row["known"] - 0.5) < 0.01 and abs(row["compared"] - 0.5) < 0.01
     assert abs(row["area"] - 400) < 1e-6
 
@@ -184,15 +193,16 @@ def test_a_map_larger_than_memory_is_measured_in_coarser_pixels(tmp_path, monkey
     monkeypatch.setattr("clsplat.apps.measure.MOST_SIDE", 100)
     x, y = places()
     surface = write_surface(tmp_path / "s.tif", heap(x, y))
-    row, = measured(surface, tmp_path, feature("Polygon", [circle(RADIUS + 1)])).record["features"]
+    (row,) = measured(surface, tmp_path, feature("Polygon", [circle(RADIUS + 1)])).record["features"]
     assert abs(row["volume"] / HEAP_VOLUME - 1) < 0.02
 
 
 def test_the_command_writes_json_csv_and_a_table(surfaces, tmp_path):
     late, early, _ = surfaces
     line = [(MIDDLE - (10, 0)).tolist(), (MIDDLE + (10, 0)).tolist()]
-    shapes = write_features(tmp_path / "f.json", feature("Polygon", [square(13)], "heap"),
-                            feature("LineString", line, "way"))
+    shapes = write_features(
+        tmp_path / "f.json", feature("Polygon", [square(13)], "heap"), feature("LineString", line, "way")
+    )
     words = "measure", late, "--geojson", shapes, "-o", tmp_path / "out", "--before", early
     result = clsplat_(*words)
     assert result.exit_code == 0, result.output
@@ -213,8 +223,7 @@ def test_the_command_writes_json_csv_and_a_table(surfaces, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_run_is_drawn_first_and_the_folder_of_a_map_is_read(
-        tmp_path, monkeypatch, no_pictures):  # noqa: F811
+def test_a_run_is_drawn_first_and_the_folder_of_a_map_is_read(tmp_path, monkeypatch, no_pictures):  # noqa: F811
     monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene()))
     middle = (made.OFFSET + made.UTM.offset)[:2]
     shapes = write_features(tmp_path / "f.json", feature("Polygon", [square(5, middle)], "house"))
@@ -229,7 +238,7 @@ def test_a_run_is_drawn_first_and_the_folder_of_a_map_is_read(
         record = json.loads((output / "measurements.json").read_text())
         assert record["surface"] == str(tmp_path / name)
         volumes.append(record["features"][0]["volume"])
-    house = (2 * made.HOUSE + 2 * 1.4 * made.SPACING)**2 * made.ROOF
+    house = (2 * made.HOUSE + 2 * 1.4 * made.SPACING) ** 2 * made.ROOF
     assert abs(volumes[0] / volumes[1] - 1) < 0.02 and abs(volumes[0] / house - 1) < 0.1
 
 
@@ -237,16 +246,22 @@ def out_of_degrees(x, y):
     return [[x, y], [x + 1, y], [x + 1, y + 1], [x, y]]
 
 
-BOW = [[LEFT + 10, TOP - 10], [LEFT + 30, TOP - 30], [LEFT + 30, TOP - 14], [LEFT + 15, TOP - 30],
-       [LEFT + 10, TOP - 10]]
+BOW = [
+    [LEFT + 10, TOP - 10],
+    [LEFT + 30, TOP - 30],
+    [LEFT + 30, TOP - 14],
+    [LEFT + 15, TOP - 30],
+    [LEFT + 10, TOP - 10],
+]
 HOSTILE = {
     "no features": ({"type": "FeatureCollection", "features": []}, "no features"),
     "a list": ([1, 2], "not a JSON object"),
     "features are text": ({"type": "FeatureCollection", "features": "x"}, "no features"),
-    "a feature is a number": ({"type": "FeatureCollection", "features": [3]},
-                              "without a geometry"),
-    "properties are a list": ({"type": "Feature", "properties": [1], "geometry": {
-        "type": "Polygon", "coordinates": [[1]]}}, "feature 1 has coordinates of no polygon"),
+    "a feature is a number": ({"type": "FeatureCollection", "features": [3]}, "without a geometry"),
+    "properties are a list": (
+        {"type": "Feature", "properties": [1], "geometry": {"type": "Polygon", "coordinates": [[1]]}},
+        "feature 1 has coordinates of no polygon",
+    ),
     "a point": (feature("Point", [1, 2], "well"), "well is Point"),
     "text for a number": (feature("LineString", [["1", "2"], ["3", "4"]]), "of no line"),
     "null": (feature("LineString", [[None, 2], [3, 4]]), "of no line"),
@@ -258,19 +273,22 @@ HOSTILE = {
     "a part without rings": (feature("MultiPolygon", [[]]), "of no polygon"),
     "an open ring": (feature("Polygon", [[[0, 0], [1, 0], [1, 1], [0, 1]]]), "of no polygon"),
     "NaN": ('{"type": "LineString", "coordinates": [[NaN, 1], [2, 3]]}', "not a finite number"),
-    "infinite": ('{"type": "LineString", "coordinates": [[1e999, 1], [2, 3]]}',
-                 "not a finite number"),
+    "infinite": ('{"type": "LineString", "coordinates": [[1e999, 1], [2, 3]]}', "not a finite number"),
     "no JSON": ("hello", "not GeoJSON"),
     "outside": (feature("Polygon", [square(5, MIDDLE + 5000)], "far"), "far: "),
     "outside in degrees": (feature("Polygon", [out_of_degrees(10, 40)]), "feature 1: "),
     "degrees beyond the map": (feature("Polygon", [out_of_degrees(-170, -89)]), "feature 1"),
     "crosses itself": (feature("Polygon", [BOW], "bow"), "bow: its border crosses itself"),
     "without an area": (feature("Polygon", [[BOW[0], BOW[1], BOW[0], BOW[0]]]), "no area"),
-    "a line that leaves the earth": (feature("LineString", [list(MIDDLE), [1e99, 1e99]], "way"),
-                                    "way: is 1.41e+99 m long"),
+    "a line that leaves the earth": (
+        feature("LineString", [list(MIDDLE), [1e99, 1e99]], "way"),
+        "way: is 1.41e+99 m long",
+    ),
     "a vast polygon": (feature("Polygon", [square(1e50)]), "feature 1: is 8e+50 m long"),
-    "an unknown system": ({**feature("Polygon", [square(5)]), "crs": {
-        "type": "name", "properties": {"name": "EPSG:1"}}}, "coordinate reference system"),
+    "an unknown system": (
+        {**feature("Polygon", [square(5)]), "crs": {"type": "name", "properties": {"name": "EPSG:1"}}},
+        "coordinate reference system",
+    ),
     "a system without a name": ({**feature("Polygon", [square(5)]), "crs": 7}, "no name"),
 }
 
@@ -291,10 +309,8 @@ def test_hostile_features_are_refused_in_one_line(surfaces, tmp_path, shapes, me
 
 BAD_RASTERS = {
     "no data": ({"heights": np.full((9, 9), np.nan)}, "has no heights"),
-    "a picture": ({"heights": np.zeros((4, 9, 9)), "dtype": "uint8", "nodata": None},
-                  "4 bands of uint8"),
-    "degrees": ({"heights": np.ones((9, 9)), "crs": "EPSG:4326", "left": 15, "top": 51,
-                 "pixel": 1e-5}, "not metres"),
+    "a picture": ({"heights": np.zeros((4, 9, 9)), "dtype": "uint8", "nodata": None}, "4 bands of uint8"),
+    "degrees": ({"heights": np.ones((9, 9)), "crs": "EPSG:4326", "left": 15, "top": 51, "pixel": 1e-5}, "not metres"),
     "feet": ({"heights": np.ones((9, 9)), "crs": "EPSG:2263"}, "not metres"),
     "Web Mercator": ({"heights": np.ones((9, 9)), "crs": "EPSG:3857"}, "not metres"),
 }
@@ -310,7 +326,7 @@ def test_hostile_rasters_are_refused_in_one_line(tmp_path, options, message):
 def test_numbers_that_are_none(tmp_path):
     """A place that is NaN is refused; heights that are NaN are none, signalling ones too."""
     heights = np.zeros((40, 40), np.float32)
-    heights.view(np.uint32)[:2] = 0x7f800001
+    heights.view(np.uint32)[:2] = 0x7F800001
     surface = write_surface(tmp_path / "s.tif", heights)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
@@ -332,14 +348,15 @@ def test_other_files_and_words_are_refused_in_one_line(surfaces, tmp_path):
     far = write_surface(tmp_path / "far.tif", 0 * x, left=LEFT + 9000)
     output = "-o", tmp_path / "o"
     for words, message in (
-            ((tmp_path / "text.tif", "--geojson", shapes), "cannot be read as a GeoTIFF"),
-            ((tmp_path / "missing.tif", "--geojson", shapes), "cannot be read as a GeoTIFF"),
-            ((tmp_path / "empty", "--geojson", shapes), "holds no run"),
-            ((late, "--geojson", tmp_path / "missing.json"), "no such file"),
-            ((late, "--geojson", tmp_path), "not GeoJSON"),
-            ((hole, "--geojson", shapes), "feature 1: "),
-            ((late, "--geojson", shapes, "--before", other), "gdalwarp"),
-            ((late, "--geojson", shapes, "--before", far), "shares no known place"),
-            ((late, "--geojson", shapes, "--base", "highest"), "--base"),
-            ((late, "--geojson", shapes, "--base", "nan"), "--base")):
+        ((tmp_path / "text.tif", "--geojson", shapes), "cannot be read as a GeoTIFF"),
+        ((tmp_path / "missing.tif", "--geojson", shapes), "cannot be read as a GeoTIFF"),
+        ((tmp_path / "empty", "--geojson", shapes), "holds no run"),
+        ((late, "--geojson", tmp_path / "missing.json"), "no such file"),
+        ((late, "--geojson", tmp_path), "not GeoJSON"),
+        ((hole, "--geojson", shapes), "feature 1: "),
+        ((late, "--geojson", shapes, "--before", other), "gdalwarp"),
+        ((late, "--geojson", shapes, "--before", far), "shares no known place"),
+        ((late, "--geojson", shapes, "--base", "highest"), "--base"),
+        ((late, "--geojson", shapes, "--base", "nan"), "--base"),
+    ):
         refused(clsplat_("measure", *words, *output), message)

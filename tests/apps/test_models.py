@@ -112,8 +112,10 @@ def test_every_format(run, tmp_path, suffix):
     assert (found.count, found.sh_degree) == (58, degree)
     low, high = (whole.positions.min(axis=0), whole.positions.max(axis=0))
     assert ((found.positions > low - 0.1) & (found.positions < high + 0.1)).all()
-    assert np.abs(np.median(found.positions, axis=0) - np.median(
-        np.delete(whole.positions, [3, 5], axis=0), axis=0)).max() < 0.1
+    assert (
+        np.abs(np.median(found.positions, axis=0) - np.median(np.delete(whole.positions, [3, 5], axis=0), axis=0)).max()
+        < 0.1
+    )
 
 
 def test_versions_of_spz(run, tmp_path):

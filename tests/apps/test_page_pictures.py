@@ -34,8 +34,7 @@ def test_export_has_a_title_a_poster_and_photos(tmp_path, city, trained):
     assert "<title>A &lt;yard&gt;</title>" in text
     assert re.search(r'id="poster" alt="" src="data:image/jpeg;base64,\S{2000,}" data-ratio=', text)
     assert text.index('id="poster"') < text.index('id="cell0"') < text.index('id="photo_record"')
-    record = json.loads(re.search(r'id="photo_record" type="application/json">(.*)</script>',
-                                  text)[1])
+    record = json.loads(re.search(r'id="photo_record" type="application/json">(.*)</script>', text)[1])
     assert len(record) == len(city.views) and all(each["picture"] for each in record)
     result = clsplat_("export", trained, "-o", output, "--overwrite", "--no-photos")
     assert result.exit_code == 0 and '"picture": "data' not in output.read_text("utf-8")

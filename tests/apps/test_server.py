@@ -14,8 +14,14 @@ from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.photos.images import read_image
 
-CAMERA = {"width": 8, "height": 6, "focal": [5, 5], "centre": [4, 3], "position": [1, 2, 3],
-          "rotation": [[1, 0, 0], [0, 0, -1], [0, 1, 0]]}
+CAMERA = {
+    "width": 8,
+    "height": 6,
+    "focal": [5, 5],
+    "centre": [4, 3],
+    "position": [1, 2, 3],
+    "rotation": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+}
 
 
 @pytest.fixture
@@ -58,8 +64,9 @@ def test_without_the_token_all_is_refused(server, requests, path, method):
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1", ""])
 def test_under_another_name_all_is_refused(server, requests, host):
     for method, name in (("GET", ""), ("POST", "frame")):
-        status, _, _ = answer(server, f"/{server.token}/{name}", method, json.dumps(CAMERA),
-                              Host=host.format(port=server.port))
+        status, _, _ = answer(
+            server, f"/{server.token}/{name}", method, json.dumps(CAMERA), Host=host.format(port=server.port)
+        )
         assert status == 403
     assert requests.empty()
     assert answer(server, f"/{server.token}/", Host=f"localhost:{server.port}")[0] == 200
@@ -82,6 +89,7 @@ def test_a_frame_is_the_image_that_was_drawn(server, requests):
     def draw(request):
         seen.append(request.camera)
         request.answer.set_result(image)
+
     answering(requests, draw)
     status, body, response = answer(server, f"/{server.token}/frame", "POST", json.dumps(CAMERA))
     assert (status, response.getheader("Content-Type")) == (200, "image/jpeg")
@@ -97,9 +105,9 @@ def test_a_problem_and_a_depth_are_told(server, requests):
     def measure(request):
         assert request.wants_depth
         request.answer.set_result(2.5)
+
     answering(requests, measure)
-    assert answer(server, f"/{server.token}/depth", "POST", json.dumps(CAMERA))[1] == (
-        b'{"depth": 2.5}')
+    assert answer(server, f"/{server.token}/depth", "POST", json.dumps(CAMERA))[1] == (b'{"depth": 2.5}')
 
 
 def test_nobody_draws_a_frame_that_nobody_waits_for(server, requests, monkeypatch):
@@ -108,13 +116,29 @@ def test_nobody_draws_a_frame_that_nobody_waits_for(server, requests, monkeypatc
     assert not requests.empty() and requests.next() is None
 
 
-@pytest.mark.parametrize("changes", [
-    {"width": 0}, {"width": 5000}, {"width": 4096, "height": 4096}, {"width": 8.5},
-    {"width": True}, {"focal": [5]}, {"focal": [5, -5]},
-    {"focal": [1e-300, 5]}, {"focal": [5, 0]}, {"rotation": [[1, 0, 0], [0, 0, 1], [0, 1, 0]]},
-    {"rotation": [[-1, 0, 0], [0, -1, 0], [0, 0, -1]]}, {"focal": [5, "x"]}, {"position": None},
-    {"position": [float("nan"), 0, 0]}, {"rotation": [[1, 0, 0]]},
-    {"rotation": np.zeros((3, 3)).tolist()}, {"centre": [[4, 3]]}, {"rotation": {}}])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"width": 0},
+        {"width": 5000},
+        {"width": 4096, "height": 4096},
+        {"width": 8.5},
+        {"width": True},
+        {"focal": [5]},
+        {"focal": [5, -5]},
+        {"focal": [1e-300, 5]},
+        {"focal": [5, 0]},
+        {"rotation": [[1, 0, 0], [0, 0, 1], [0, 1, 0]]},
+        {"rotation": [[-1, 0, 0], [0, -1, 0], [0, 0, -1]]},
+        {"focal": [5, "x"]},
+        {"position": None},
+        {"position": [float("nan"), 0, 0]},
+        {"rotation": [[1, 0, 0]]},
+        {"rotation": np.zeros((3, 3)).tolist()},
+        {"centre": [[4, 3]]},
+        {"rotation": {}},
+    ],
+)
 def test_what_is_no_camera_is_refused(changes):
     with pytest.raises((ValueError, InputError)):
         camera_of(json.dumps({**CAMERA, **changes}).encode())

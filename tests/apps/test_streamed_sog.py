@@ -30,8 +30,9 @@ def written(tmp_path_factory):
     folder, seen = tmp_path_factory.mktemp("sog"), []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(streamed_sog, "LEAST_GAUSSIANS", 2)
-        chunks = write_streamed_sog(folder, gaussians, ("SplatRenderMode: mip",), LIMIT,
-                                    lambda *numbers: seen.append(numbers))
+        chunks = write_streamed_sog(
+            folder, gaussians, ("SplatRenderMode: mip",), LIMIT, lambda *numbers: seen.append(numbers)
+        )
     index = json.loads((folder / "lod-meta.json").read_text())
     assert chunks == len(index["filenames"])
     assert seen == [(number, len(seen)) for number in range(1, len(seen) + 1)]
@@ -81,8 +82,7 @@ def test_each_level_has_a_quarter_of_the_one_before(written, monkeypatch):
     for level in range(1, 4):
         assert counts[level] == pytest.approx(counts[level - 1] / 4, rel=0.1)
         for leaf in leaves:
-            coarse, fine = (part_of(folder, index, leaf["lods"][str(each)])
-                            for each in (level, level - 1))
+            coarse, fine = (part_of(folder, index, leaf["lods"][str(each)]) for each in (level, level - 1))
             away, _ = cKDTree(fine.positions).query(coarse.positions)
             assert coarse.count == -(-fine.count // 4)
             assert away.max() < np.ptp(gaussians.positions, axis=0).max() / 4
@@ -95,8 +95,7 @@ def test_each_level_has_a_quarter_of_the_one_before(written, monkeypatch):
 def test_a_small_model_is_one_leaf(tmp_path):
     assert write_streamed_sog(tmp_path, model(50, 0)) == 1
     index = json.loads((tmp_path / "lod-meta.json").read_text())
-    assert index["lodLevels"] == 1 and index["tree"]["lods"]["0"] == {
-        "file": 0, "offset": 0, "count": 50}
+    assert index["lodLevels"] == 1 and index["tree"]["lods"]["0"] == {"file": 0, "offset": 0, "count": 50}
 
 
 def test_export(tmp_path, monkeypatch):
@@ -107,13 +106,14 @@ def test_export(tmp_path, monkeypatch):
     for name, words in (("as_is", ()), ("upright", ("--upright",))):
         result = clsplat_("export", run.path, "-o", tmp_path / name / "lod-meta.json", *words)
         assert result.exit_code == 0, result.output
-    found, turned = (read_model(tmp_path / name / "0_0" / "meta.json").positions
-                     for name in ("as_is", "upright"))
+    found, turned = (read_model(tmp_path / name / "0_0" / "meta.json").positions for name in ("as_is", "upright"))
     away, match = cKDTree(found).query(gaussians.positions)
     assert away.max() < 1e-3 and len(set(match)) == 50
     assert np.abs(np.sort(-turned[:, 1]) - np.sort(gaussians.positions[:, 2])).max() < 1e-3
-    for place, cause in ((tmp_path / "as_is" / "lod-meta.json", "as_is: exists already"),
-                         ("lod-meta.json", "fills a folder; name a new one")):
+    for place, cause in (
+        (tmp_path / "as_is" / "lod-meta.json", "as_is: exists already"),
+        ("lod-meta.json", "fills a folder; name a new one"),
+    ):
         monkeypatch.chdir(tmp_path)
         result = clsplat_("export", run.path, "-o", place)
         assert result.exit_code == 2 and cause in result.output
@@ -130,8 +130,11 @@ def test_splat_transform_reads_chunks_and_writes_such_an_index(written, tmp_path
     write_model(tmp_path / "a.ply", model(400))
     node = shutil.which("node")
     command = convert.__closure__[0].cell_contents
-    subprocess.run([node, command, "-q", "-w", "-g", "cpu", tmp_path / "a.ply", "-l", "0",
-                    tmp_path / "lod-meta.json"], check=True, timeout=100)
+    subprocess.run(
+        [node, command, "-q", "-w", "-g", "cpu", tmp_path / "a.ply", "-l", "0", tmp_path / "lod-meta.json"],
+        check=True,
+        timeout=100,
+    )
     theirs = json.loads((tmp_path / "lod-meta.json").read_text())
     leaf, other = leaves_of(index["tree"])[0], leaves_of(theirs["tree"])[0]
     assert set(theirs) <= set(index) and set(leaf) == set(other)

@@ -55,8 +55,7 @@ def surveys(tmp_path_factory):
     """The path of a survey, the folder, the record of its comparison with another one by the
     command, which reads folders of maps, and what that printed."""
     folder = tmp_path_factory.mktemp("surveys")
-    for name, heights in (("old", noisy(site((*HOUSES, GONE), False))),
-                          ("new", noisy(site(HOUSES, True, SHIFT), 2))):
+    for name, heights in (("old", noisy(site((*HOUSES, GONE), False))), ("new", noisy(site(HOUSES, True, SHIFT), 2))):
         (folder / name).mkdir()
         write_surface(folder / name / "surface.tif", heights)
     result = clsplat_("compare-surveys", folder / "old", folder / "new", "-o", folder / "c")
@@ -69,7 +68,7 @@ def true_volumes():
     x, y = places()
     inside = (np.abs(x - GONE[0]) < GONE[2]) & (np.abs(y - GONE[1]) < GONE[2])
     cut = (50 + GONE[3] - hills(x, y))[inside].sum() * PIXEL**2
-    return np.pi / 2 * HEAP[2]**2 * HEAP[3], cut
+    return np.pi / 2 * HEAP[2] ** 2 * HEAP[3], cut
 
 
 def test_a_known_shift_and_known_changes_are_found(surveys):
@@ -78,7 +77,7 @@ def test_a_known_shift_and_known_changes_are_found(surveys):
     assert np.abs(found - SHIFT).max() < 0.1 * PIXEL, found
     fill, cut = true_volumes()
     assert abs(record["fill"] / fill - 1) < 0.02 and abs(record["cut"] / cut - 1) < 0.02
-    changed = np.pi * HEAP[2]**2 + (2 * GONE[2])**2
+    changed = np.pi * HEAP[2] ** 2 + (2 * GONE[2]) ** 2
     assert abs(record["changed"] / changed - 1) < 0.05
     assert record["horizontal_shift_found"] and record["compared"] > 0.97
 
@@ -99,10 +98,18 @@ def test_the_noise_is_that_of_stable_ground(surveys):
 def test_the_files(surveys):
     before, folder, _, _ = surveys
     assert {path.name for path in (folder / "c").iterdir()} == {
-        "aligned.tif", "difference.tif", "difference.png", "comparison.json", "aligned.qml",
-        "difference.qml"}
-    with rasterio.open(folder / "c" / "difference.tif") as file, rasterio.open(before) as first, (
-            rasterio.open(folder / "c" / "aligned.tif")) as aligned:
+        "aligned.tif",
+        "difference.tif",
+        "difference.png",
+        "comparison.json",
+        "aligned.qml",
+        "difference.qml",
+    }
+    with (
+        rasterio.open(folder / "c" / "difference.tif") as file,
+        rasterio.open(before) as first,
+        rasterio.open(folder / "c" / "aligned.tif") as aligned,
+    ):
         assert file.transform == first.transform == aligned.transform and file.crs == first.crs
         assert file.descriptions == ("difference", "noise") and aligned.tags()
         difference, _ = file.read()
@@ -131,19 +138,22 @@ def test_the_styles_have_the_range_of_the_heights_and_of_the_changes(surveys):
 
 def test_the_picture_has_what_grew_in_blue_and_what_went_in_red(surveys):
     from matplotlib.image import imread
+
     picture = imread(surveys[1] / "c" / "difference.png")[..., :3]
-    red, blue = (picture[..., first] - picture[..., second] > 0.3
-                 for first, second in ((0, 2), (2, 0)))
+    red, blue = (picture[..., first] - picture[..., second] > 0.3 for first, second in ((0, 2), (2, 0)))
     (red_row, red_column), (blue_row, blue_column) = (
-        np.median(np.nonzero(each[:, :picture.shape[1] * 3 // 4]), axis=1) for each in (red, blue))
+        np.median(np.nonzero(each[:, : picture.shape[1] * 3 // 4]), axis=1) for each in (red, blue)
+    )
     assert red_row > blue_row and red_column > blue_column, "south-east of the heap"
 
 
 def test_the_moved_surface_is_measured_against_the_earlier(surveys, tmp_path):
     before, folder, _, _ = surveys
-    shapes = write_features(tmp_path / "f.json", feature(
-        "Polygon", [circle(HEAP[2] + 0.5, middle=MIDDLE + HEAP[:2])]), feature(
-        "Polygon", [square(GONE[2] + 1, MIDDLE + GONE[:2])]))
+    shapes = write_features(
+        tmp_path / "f.json",
+        feature("Polygon", [circle(HEAP[2] + 0.5, middle=MIDDLE + HEAP[:2])]),
+        feature("Polygon", [square(GONE[2] + 1, MIDDLE + GONE[:2])]),
+    )
     aligned = folder / "c" / "aligned.tif"
     rows = measure(aligned, read_features(shapes, "EPSG:32633"), before=before).record["features"]
     fill, cut = true_volumes()
@@ -161,8 +171,7 @@ def test_the_command_names_its_folders_and_keeps_what_is_there(surveys):
 
 def test_level_ground_shows_no_shift_along_it(tmp_path):
     x, _ = places(side=100)
-    before, after = (write_surface(tmp_path / f"{seed}.tif", noisy(0 * x + 50 + seed, seed))
-                     for seed in (1, 2))
+    before, after = (write_surface(tmp_path / f"{seed}.tif", noisy(0 * x + 50 + seed, seed)) for seed in (1, 2))
     result = clsplat_("compare-surveys", before, after, "-o", tmp_path / "c")
     assert result.exit_code == 0 and "too level" in result.output
     record = json.loads((tmp_path / "c" / "comparison.json").read_text())
@@ -178,8 +187,7 @@ def test_surveys_of_other_pixels_and_with_gaps(tmp_path):
     with rasterio.open(first, "r+") as file:
         file.update_tags(VERTICAL_REFERENCE="EGM96 height")
     after = noisy(site(HOUSES, True, SHIFT), 2).reshape(SIDE // 2, 2, SIDE // 2, 2).mean((1, 3))
-    record = write_comparison(first, write_surface(tmp_path / "b.tif", after, pixel=2 * PIXEL),
-                              tmp_path / "c")
+    record = write_comparison(first, write_surface(tmp_path / "b.tif", after, pixel=2 * PIXEL), tmp_path / "c")
     with rasterio.open(tmp_path / "c" / "aligned.tif") as file:
         assert file.tags()["VERTICAL_REFERENCE"] == "EGM96 height"
     found = np.array([record["shift"][axis] for axis in ("east", "north", "up")])
@@ -204,8 +212,13 @@ def test_what_cannot_be_compared_is_refused_in_one_line(surveys, tmp_path):
     empty = write_surface(tmp_path / "empty.tif", np.nan * x)
     local = write_surface(tmp_path / "local.tif", 0 * x, crs=None)
     output = "-o", tmp_path / "o"
-    for name, message in ((other, "gdalwarp"), (far, "share hardly any"), (empty, "no heights"),
-                          (local, "no georeference"), (tmp_path, "holds no run")):
+    for name, message in (
+        (other, "gdalwarp"),
+        (far, "share hardly any"),
+        (empty, "no heights"),
+        (local, "no georeference"),
+        (tmp_path, "holds no run"),
+    ):
         refused(clsplat_("compare-surveys", before, name, *output), message)
     assert not (tmp_path / "o").exists()
     with pytest.raises(InputError, match="far.tif: the surveys share"):

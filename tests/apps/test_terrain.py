@@ -23,8 +23,9 @@ PIXEL, WIDTH = 0.8, 40.0  # metres
 def made_city():
     """x, heights, metres, and which places are of the ground, and of buildings."""
     city = lay_out((2, 2), 0, small=True)
-    x, y = np.meshgrid(*(np.arange(-end * UNIT_METRES, end * UNIT_METRES, PIXEL) + PIXEL / 2
-                         for end in city.extent + 5))
+    x, y = np.meshgrid(
+        *(np.arange(-end * UNIT_METRES, end * UNIT_METRES, PIXEL) + PIXEL / 2 for end in city.extent + 5)
+    )
     heights, solids = from_above(city, x / UNIT_METRES, y / UNIT_METRES)
     buildings = np.isin(solids, 1 + np.flatnonzero(city.kinds == KINDS.index("building")))
     return x, UNIT_METRES * heights, solids == 0, buildings
@@ -81,7 +82,7 @@ def test_a_house_beside_what_is_unknown_is_no_ground():
 def test_small_pits_of_a_model_do_not_pull_the_terrain_down():
     rng, heights = np.random.default_rng(0), np.full((150, 150), 7.0)
     for row, column in rng.integers(0, 146, (120, 2)):
-        heights[row:row + 3, column:column + 3] = 7 - rng.uniform(1, 4)
+        heights[row : row + 3, column : column + 3] = 7 - rng.uniform(1, 4)
     terrain, _ = terrain_of(heights, 1.0, 36.0)
     assert np.quantile(np.abs(terrain - 7), 0.95) < 0.3
 
@@ -97,16 +98,16 @@ def test_gaps_are_filled_linearly():
 
 
 def test_the_raster_has_the_surface_where_that_is_ground(tmp_path):
-    """Several tiles, finer than the cells of the filter; a slope with a house across their border.
-    """
+    """Several tiles, finer than the cells of the filter; a slope with a house across their border."""
     size = 3 * TILE // 2
     grid = MapGrid(np.eye(3), np.zeros(3), 0.0, 0.0, 0.1, size, size, 99.0)
     x = np.tile((np.arange(size) + 0.5) * 0.1, (size, 1))
     heights = 50 + 0.1 * x
     heights[470:560, 470:560] += 6
     heights[:30, :30] = np.nan
-    surface, terrain = (Raster(tmp_path / name, grid, None, dict.fromkeys(("height", name)), np.nan)
-                        for name in ("spread", "ground"))
+    surface, terrain = (
+        Raster(tmp_path / name, grid, None, dict.fromkeys(("height", name)), np.nan) for name in ("spread", "ground")
+    )
     surface.write((0, 0), np.stack([heights, heights], axis=-1))
     surface.finish({})
     share = write_terrain(surface, terrain, 18.0)
@@ -123,8 +124,7 @@ def test_the_raster_has_the_surface_where_that_is_ground(tmp_path):
 
 def test_the_command(tmp_path, monkeypatch, no_pictures):  # noqa: F811
     monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene()))
-    result = clsplat_("map", "run", "-o", tmp_path / "map", "--resolution", 0.1, "--contours", 0,
-                      "--terrain", 10)
+    result = clsplat_("map", "run", "-o", tmp_path / "map", "--resolution", 0.1, "--contours", 0, "--terrain", 10)
     assert result.exit_code == 0 and "of the surface is ground" in result.output, result.output
     with rasterio.open(tmp_path / "map" / "terrain.tif") as file:
         heights, ground = file.read()

@@ -44,6 +44,7 @@ def written(tmp_path, model, limit, georeference=None):
         tiles.append((record, model, local, local @ transform[:3, :3].T + transform[:3, 3]))
         for child in record.get("children", ()):
             visit(child)
+
     visit(tileset["root"])
     assert count == len(tiles)
     return tileset, tiles
@@ -51,8 +52,9 @@ def written(tmp_path, model, limit, georeference=None):
 
 def test_the_leaves_hold_every_gaussian_once(tmp_path, monkeypatch):
     made = []
-    monkeypatch.setattr(tiles_module, "decimated", lambda whole, count: (
-        made.append(whole.count), decimated(whole, count))[1])
+    monkeypatch.setattr(
+        tiles_module, "decimated", lambda whole, count: (made.append(whole.count), decimated(whole, count))[1]
+    )
     model = cloud(1000, sh_degree=1, size=0.02, offset=(7.0, -3.0, 100.0))
     _, tiles = written(tmp_path, model, 60)
     leaves = [tile for tile in tiles if "children" not in tile[0]]
@@ -87,8 +89,11 @@ def test_the_tileset_keeps_the_rules_of_3d_tiles(tmp_path):
     local = {record["content"]["uri"]: (model, places) for record, model, places, _ in tiles}
     assert tileset["geometricError"] >= tileset["root"]["geometricError"]
     for record, *_ in tiles:
-        assert {"boundingVolume", "geometricError", "content"} <= set(record) <= {
-            "boundingVolume", "geometricError", "content", "children", "refine", "transform"}
+        assert (
+            {"boundingVolume", "geometricError", "content"}
+            <= set(record)
+            <= {"boundingVolume", "geometricError", "content", "children", "refine", "transform"}
+        )
         assert list(record["boundingVolume"]) == ["box"] and record["geometricError"] >= 0
         numbers = record["boundingVolume"]["box"]
         assert len(numbers) == 12 and np.isfinite(numbers).all()
@@ -130,10 +135,10 @@ def test_on_the_earth(tmp_path):
     _, tiles = written(tmp_path, model, 60, place)
     # heights are above the ellipsoid
     east, north, height = (model.positions + model.offset + np.array(place.offset)).T
-    degrees = pyproj.Transformer.from_crs("EPSG:32633", "OGC:CRS84", always_xy=True).transform(
-        east, north)
-    expected = np.stack(pyproj.Transformer.from_crs(
-        "EPSG:4979", "EPSG:4978", always_xy=True).transform(*degrees, height), axis=1)
+    degrees = pyproj.Transformer.from_crs("EPSG:32633", "OGC:CRS84", always_xy=True).transform(east, north)
+    expected = np.stack(
+        pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True).transform(*degrees, height), axis=1
+    )
     assert cKDTree(tiles[0][3]).query(expected)[0].max() < 0.03
     matrix = placement(model.offset, place)
     assert np.linalg.det(matrix[:3, :3]) == pytest.approx(1, abs=2e-3), "no mirror"

@@ -1,6 +1,6 @@
 """The self-test passes on a working device, and names what is broken on any other.
 
-    python -m tests.bench.test_selftest     writes the stored results again
+python -m tests.bench.test_selftest     writes the stored results again
 """
 
 import itertools
@@ -96,19 +96,22 @@ def test_a_working_device_passes(float_device):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part, broken, line", [
-    ("stable_sort", unsorted, "sort"),
-    ("gather", first_row_everywhere, "sort"),
-    ("compact", one_too_few, "sort"),
-    ("bin_splats", unstable_lists, "tile lists"),
-    ("DeviceAdam", WithoutCorrection, "Adam"),
-    ("Statistics", CountsTwice, "render adjoint"),
-    ("image_loss", other_value, "image loss and its adjoint"),
-    ("image_loss", other_gradient, "image loss and its adjoint"),
-    ("Renderer", brighter, "render"),
-    ("Renderer", HalfTheTurn, "render adjoint"),
-    ("Renderer", restless, "same bytes twice"),
-])
+@pytest.mark.parametrize(
+    "part, broken, line",
+    [
+        ("stable_sort", unsorted, "sort"),
+        ("gather", first_row_everywhere, "sort"),
+        ("compact", one_too_few, "sort"),
+        ("bin_splats", unstable_lists, "tile lists"),
+        ("DeviceAdam", WithoutCorrection, "Adam"),
+        ("Statistics", CountsTwice, "render adjoint"),
+        ("image_loss", other_value, "image loss and its adjoint"),
+        ("image_loss", other_gradient, "image loss and its adjoint"),
+        ("Renderer", brighter, "render"),
+        ("Renderer", HalfTheTurn, "render adjoint"),
+        ("Renderer", restless, "same bytes twice"),
+    ],
+)
 @pytest.mark.one_in(2)
 def test_a_broken_part_fails_its_line_only(float_device, monkeypatch, part, broken, line):
     monkeypatch.setattr(selftest, part, broken)
@@ -118,6 +121,7 @@ def test_a_broken_part_fails_its_line_only(float_device, monkeypatch, part, brok
 def test_what_a_driver_raises_is_one_line(float_device, monkeypatch):
     def broken(device, keys, counts):
         raise RuntimeError("clEnqueueNDRangeKernel failed:\n OUT_OF_RESOURCES")
+
     monkeypatch.setattr(selftest, "stable_sort", broken)
     [(name, passed, detail)] = results(float_device, selftest.CHECKS[:1])
     assert name.startswith("sort") and not passed
@@ -127,7 +131,8 @@ def test_what_a_driver_raises_is_one_line(float_device, monkeypatch):
 def test_check_covers_both_forms(item_device, monkeypatch):
     monkeypatch.setattr(selftest, "CHECKS", selftest.CHECKS[:1])
     assert [(name, passed) for name, passed, _ in selftest.check(item_device)] == [
-        (f"sort, gather and compaction, {form} form", True) for form in ("item", "group")]
+        (f"sort, gather and compaction, {form} form", True) for form in ("item", "group")
+    ]
 
 
 def test_check_has_the_sizes_of_the_device(item_device, monkeypatch):
@@ -137,8 +142,15 @@ def test_check_has_the_sizes_of_the_device(item_device, monkeypatch):
 
 
 def by_the_reference():
-    return reference.stored(selftest.CAMERA, selftest.NEAR, selftest.BACKGROUND, selftest.DEGREE,
-                            selftest.SSIM_WEIGHT, selftest.RATES, selftest.LATER)
+    return reference.stored(
+        selftest.CAMERA,
+        selftest.NEAR,
+        selftest.BACKGROUND,
+        selftest.DEGREE,
+        selftest.SSIM_WEIGHT,
+        selftest.RATES,
+        selftest.LATER,
+    )
 
 
 def test_the_stored_results_are_those_of_the_reference():

@@ -34,8 +34,7 @@ class DaskProcesses:
 
     def start_scheduler(self):
         """Start it, and wait until it listens: on a busy machine Dask itself starts slowly."""
-        self.scheduler = self._dask("scheduler", "--host", "127.0.0.1", "--port", str(self.port),
-                                    "--no-dashboard")
+        self.scheduler = self._dask("scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard")
         deadline = time.monotonic() + STARTED_SECONDS
         while True:
             try:
@@ -47,10 +46,22 @@ class DaskProcesses:
 
     def start_worker(self, *words, device="", resources="device=1"):
         """Start a worker, without a nanny unless `words` are given; device: its CLSPLAT_DEVICE."""
-        self.workers.append(self._dask(
-            "worker", self.address, "--nthreads", "1", "--no-dashboard", "--memory-limit", "0",
-            "--local-directory", self._scratch.name, *(words or ["--no-nanny"]),
-            *(["--resources", resources] if resources else []), device=device))
+        self.workers.append(
+            self._dask(
+                "worker",
+                self.address,
+                "--nthreads",
+                "1",
+                "--no-dashboard",
+                "--memory-limit",
+                "0",
+                "--local-directory",
+                self._scratch.name,
+                *(words or ["--no-nanny"]),
+                *(["--resources", resources] if resources else []),
+                device=device,
+            )
+        )
         return self.workers[-1]
 
     @staticmethod
@@ -65,6 +76,11 @@ class DaskProcesses:
         if not device:
             del environment["CLSPLAT_DEVICE"]
         with open(Path(self._scratch.name) / "log.txt", "ab") as log:
-            return subprocess.Popen([sys.executable, "-m", "dask", *words], env=environment,
-                                    cwd=self._scratch.name, stdin=subprocess.DEVNULL, stdout=log,
-                                    stderr=log)
+            return subprocess.Popen(
+                [sys.executable, "-m", "dask", *words],
+                env=environment,
+                cwd=self._scratch.name,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+            )

@@ -20,8 +20,11 @@ from clsplat.training.interrupt import deferred_interrupt
 DONE, STATE, STARTS, ENDS, STEPPED = "done.txt", "state.txt", "starts.txt", "ends.txt", "steps.txt"
 NO_DEVICE = "no such device"
 STEP_SECONDS = 0.05
-FAULTS = {"refuse": InputError("as requested"), "memory": OutOfDeviceMemory("as requested"),
-          "bug": ValueError("as requested")}
+FAULTS = {
+    "refuse": InputError("as requested"),
+    "memory": OutOfDeviceMemory("as requested"),
+    "bug": ValueError("as requested"),
+}
 
 
 @dataclass(frozen=True)
@@ -35,8 +38,13 @@ class Steps(Job):
 
     def run(self, device, progress=None, stopping=lambda: False):
         with exclusive(self.folder, 30):
-            note(self.folder / STARTS, os.getpid(), device.name.replace(" ", "_"),
-                 os.environ.get("CLSPLAT_DEVICE", "-"), os.environ.get("POCL_CACHE_DIR", "-"))
+            note(
+                self.folder / STARTS,
+                os.getpid(),
+                device.name.replace(" ", "_"),
+                os.environ.get("CLSPLAT_DEVICE", "-"),
+                os.environ.get("POCL_CACHE_DIR", "-"),
+            )
             if self.says:
                 os.write(1, f"{self.says} from {self.name}\n".encode())
             if len(lines(self, STARTS)) <= self.failures:
@@ -61,8 +69,10 @@ class Steps(Job):
 
 def some_jobs(folder, count, **fields):
     """Jobs 000, 001, ..., each with its folder."""
-    return [Steps(f"{number:03d}", folder / f"{number:03d}",
-                  done=folder / f"{number:03d}" / DONE, **fields) for number in range(count)]
+    return [
+        Steps(f"{number:03d}", folder / f"{number:03d}", done=folder / f"{number:03d}" / DONE, **fields)
+        for number in range(count)
+    ]
 
 
 def note(path, *words):
@@ -81,8 +91,11 @@ if __name__ == "__main__":
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with Workers(int(workers), *scheduler) as all_workers:
-            all_workers.run(some_jobs(Path(place), int(count), steps=int(steps)), None,
-                            ended=lambda outcome: print(outcome.job.name, outcome.tries))
+            all_workers.run(
+                some_jobs(Path(place), int(count), steps=int(steps)),
+                None,
+                ended=lambda outcome: print(outcome.job.name, outcome.tries),
+            )
     except ClsplatError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         sys.exit(2)

@@ -39,8 +39,7 @@ def region_of(scene, share, margin=0.0):
     """The Region that owns about the first `share` of a scene's points along x."""
     world = scene.points + scene.offset
     space = Space(np.eye(3), world.mean(axis=0), np.ptp(world, axis=0) / 2)
-    return Region(space, high=[np.quantile(space.to(world)[:, 0], share), np.inf, np.inf],
-                  margin=margin)
+    return Region(space, high=[np.quantile(space.to(world)[:, 0], share), np.inf, np.inf], margin=margin)
 
 
 def block_of(scene, share=0.3, responses=None):
@@ -50,8 +49,7 @@ def block_of(scene, share=0.3, responses=None):
 
 def trained_block(folder, block, device, **changes):
     """The RunFolder of a block's training, as `tiny_training.trained`."""
-    return trained(folder, block.scene, device, **changes,
-                   parts=block.parts(options_of(**changes).exposure == "on"))
+    return trained(folder, block.scene, device, **changes, parts=block.parts(options_of(**changes).exposure == "on"))
 
 
 @pytest.fixture
@@ -62,6 +60,7 @@ def rounds(monkeypatch):
     def plan_growth(round, grows, prunes):
         seen.append((round.rows, grows, prunes))
         return planned(round, grows, prunes)
+
     monkeypatch.setattr(growth, "plan_growth", plan_growth)
     return seen
 
@@ -69,8 +68,10 @@ def rounds(monkeypatch):
 def reached_with_bodies(block, rows):
     """bool[N]: which gaussians of a training a block may change."""
     scene, region = block.scene, block.region
-    centres, sizes = (rows["positions"] * scene.extent + scene.offset,
-                      2 * scene.extent * np.exp(rows["log_scales"].max(axis=1)))
+    centres, sizes = (
+        rows["positions"] * scene.extent + scene.offset,
+        2 * scene.extent * np.exp(rows["log_scales"].max(axis=1)),
+    )
     reached = region.reaches(centres)
     for step_aside in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)):
         reached &= region.reaches(centres + sizes[:, None] * step_aside)
@@ -92,9 +93,14 @@ def test_only_what_the_region_reaches_grows(item_device, city, tmp_path, rounds,
 
 
 @pytest.mark.one_in(3)
-@pytest.mark.parametrize("options", [{"reset_every": 20}, {
-    "schedule": "mcmc", "densify_every": 20, "mcmc_growth": 0.3, "opacity_weight": 1.0,
-    "position_noise": 1e9}], ids=lambda options: options.get("schedule", "constant"))
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"reset_every": 20},
+        {"schedule": "mcmc", "densify_every": 20, "mcmc_growth": 0.3, "opacity_weight": 1.0, "position_noise": 1e9},
+    ],
+    ids=lambda options: options.get("schedule", "constant"),
+)
 def test_surroundings_stay_as_they_are(item_device, city, tmp_path, options):
     """While others grow and opacities are reset, or are relocated and take random steps."""
     block, before = block_of(city), Gaussians.from_points(city.points, city.colours, 1)
@@ -117,10 +123,16 @@ def test_what_covers_more_than_a_block_stays(item_device, city, tmp_path, rounds
     first = Gaussians.from_points(city.points, city.colours, 1)
     first.rows["log_scales"][haze] = np.log(3 * scene.extent)
     first.rows["opacity_logits"][haze] = -3
-    assert block.region.owns(scene.points[haze:haze + 1] + scene.offset).all()
+    assert block.region.owns(scene.points[haze : haze + 1] + scene.offset).all()
     write_ply(tmp_path / "first.ply", first, scene.offset)
-    run = trained_block(tmp_path / "run", block, item_device, sh_degree=1, init=str(
-        tmp_path / "first.ply"), **{**SHORT, "reset_every": 20})
+    run = trained_block(
+        tmp_path / "run",
+        block,
+        item_device,
+        sh_degree=1,
+        init=str(tmp_path / "first.ply"),
+        **{**SHORT, "reset_every": 20},
+    )
     after = run.load_model()
     place = int(np.argmax(after.log_scales.max(axis=1)))
     for name in ("positions", "log_scales", "opacity_logits", "sh_constant", "quaternions"):
@@ -129,12 +141,14 @@ def test_what_covers_more_than_a_block_stays(item_device, city, tmp_path, rounds
     assert sum(grows.sum() for _, grows, _ in rounds) > 100
 
 
-def test_the_schedule_is_asked_about_the_block_only(item_device, city, tmp_path, rounds,
-                                                    monkeypatch):
+def test_the_schedule_is_asked_about_the_block_only(item_device, city, tmp_path, rounds, monkeypatch):
     """Or the surroundings would count against what the block's own pixels can tell apart."""
     asked = []
-    monkeypatch.setattr(Constant, "target", lambda self, iteration, count, above: asked.append(
-        (self.facts.count, self.facts.pixels, count, above)))
+    monkeypatch.setattr(
+        Constant,
+        "target",
+        lambda self, iteration, count, above: asked.append((self.facts.count, self.facts.pixels, count, above)),
+    )
     block = block_of(city)
     trained_block(tmp_path / "run", block, item_device, engine="device", **SHORT)
     first, pixels = asked[0][:2]
@@ -150,8 +164,7 @@ def test_the_schedule_is_asked_about_the_block_only(item_device, city, tmp_path,
 @pytest.mark.slow
 def test_a_run_leaves_its_exposures_and_a_block_starts_from_them(item_device, city, tmp_path):
     # longer than an epoch: they are recentred on the way
-    options = {**LEVELLED, **KEEPS, "reproject": "off", "iterations": 40, "test_every": 8,
-               "vignetting": "on"}
+    options = {**LEVELLED, **KEEPS, "reproject": "off", "iterations": 40, "test_every": 8, "vignetting": "on"}
     run = trained(tmp_path / "coarse", city, item_device, **options)
     learned, held = read_exposures(run.path), run.load_checkpoint()[0]["exposure.transforms"]
     names = [view.name for view in city.split(8)[0]]
@@ -162,8 +175,9 @@ def test_a_run_leaves_its_exposures_and_a_block_starts_from_them(item_device, ci
     assert lens[:3].all() and all(np.array_equal(learned[name].vignetting, lens) for name in names)
     assert np.array_equal(np.float32(lens), run.load_checkpoint()[0]["exposure.lenses"][0])
     some = {name: Response(learned[name].transform + 0.2, lens) for name in names[:5]}
-    block = trained_block(tmp_path / "block", block_of(city, responses=some), item_device,
-                          **{**options, "iterations": 1})
+    block = trained_block(
+        tmp_path / "block", block_of(city, responses=some), item_device, **{**options, "iterations": 1}
+    )
     after = read_exposures(block.path)
     whole = trained(tmp_path / "joint", city, item_device, parts=[PhotoResponses(some)], **options)
     moved = read_exposures(whole.path)[names[0]].transform - some[names[0]].transform
@@ -185,8 +199,7 @@ def test_a_coarse_run_has_smaller_photos(schedule):
 def test_blocks_follow_the_coarse_run(tmp_path):
     coarse = RunFolder(tmp_path)
     given = {"exposure": "auto", "coarse": True, "iterations": 9, "test_offset": 3, "sh_every": 50}
-    coarse.write_options({"decisions": {"exposure": "on", "vignetting": "off", "sh_degree": 2,
-                                        "levels": [2.0, 1.0]}})
+    coarse.write_options({"decisions": {"exposure": "on", "vignetting": "off", "sh_degree": 2, "levels": [2.0, 1.0]}})
     options = resolve({}, options_of_blocks(given, decided_by(coarse)))
     assert (options.exposure, options.sh_degree) == ("on", 2)
     assert options.test_every == options.test_offset == 0
@@ -213,10 +226,17 @@ def written(there, city, **options):
     region = region_of(city, 0.5, margin=0.05)
     starts = Gaussians.from_points(city.points[:FIRST], city.colours[:FIRST], 1)
     exposures = {view.name: Response(np.eye(3, 4) * 1.02) for view in city.views}
-    values = {**EVENTFUL, "iterations": 40, "densify_until": 40, "densify_every": 10,
-              "exposure": "on", "sh_degree": 1, "test_every": 0, **options}
-    return there.write_block(0, city, VIEWS, region, {}, starts, exposures, values,
-                             there.identity())
+    values = {
+        **EVENTFUL,
+        "iterations": 40,
+        "densify_until": 40,
+        "densify_every": 10,
+        "exposure": "on",
+        "sh_degree": 1,
+        "test_every": 0,
+        **options,
+    }
+    return there.write_block(0, city, VIEWS, region, {}, starts, exposures, values, there.identity())
 
 
 def called(block, *words):
@@ -229,8 +249,10 @@ def called(block, *words):
 def test_a_stopped_block_ends_in_the_same_bytes(folder, city, tmp_path):
     block = folder.block(0)
     code, output = called(block, "--stop-at", "25")
-    assert code == 130 and output.splitlines()[-1] == \
-        f"{block.path}: stopped, its state is saved; the same command continues"
+    assert (
+        code == 130
+        and output.splitlines()[-1] == f"{block.path}: stopped, its state is saved; the same command continues"
+    )
     assert not RunFolder(block.run).has_model
     code, output = called(block)
     assert (code, output.splitlines()[-1]) == (0, f"{block.run}: finished")
@@ -249,8 +271,7 @@ def test_a_stopped_block_ends_in_the_same_bytes(folder, city, tmp_path):
     other = written(again, city)
     assert called(other, "-q") == (0, "")
     assert model_digest(RunFolder(other.run)) == model_digest(run)
-    assert (other.run / "exposures.json").read_bytes() == (
-        block.run / "exposures.json").read_bytes()
+    assert (other.run / "exposures.json").read_bytes() == (block.run / "exposures.json").read_bytes()
 
     before = (block.run / "point_cloud.ply").stat().st_mtime_ns
     assert called(block) == (0, f"{block.run}: was finished before\n")
@@ -265,8 +286,8 @@ def check_other_options(block):
     (block.path / "block.json").write_text(json.dumps(record))
     code, output = called(block)
     assert code == 2 and output == (
-        f"error: {block.run}: was begun with iterations 40, and block.json has 41; put that back, "
-        "or remove the run\n")
+        f"error: {block.run}: was begun with iterations 40, and block.json has 41; put that back, or remove the run\n"
+    )
 
 
 @pytest.mark.parametrize("what", ["city", "partition"])
@@ -276,16 +297,18 @@ def test_a_block_of_another_city(folder, what):
     else:
         folder.write_partition({"method": "another"})
     code, output = called(folder.block(0))
-    assert code == 2 and output.startswith(
-        f"error: {folder.block(0).path}: a block of another {what} than that of ")
+    assert code == 2 and output.startswith(f"error: {folder.block(0).path}: a block of another {what} than that of ")
     assert output.count("\n") == 1 and not folder.block(0).run.exists()
 
 
-@pytest.mark.parametrize("options, complaint", [
-    ({"iterations": "many"}, "option 'iterations' expects auto or a whole number"),
-    ({"no_such": 1}, "unknown option"),
-    ({"schedule": "constant", "rounds": 3},
-     "option 'rounds': has no effect with --schedule constant")])
+@pytest.mark.parametrize(
+    "options, complaint",
+    [
+        ({"iterations": "many"}, "option 'iterations' expects auto or a whole number"),
+        ({"no_such": 1}, "unknown option"),
+        ({"schedule": "constant", "rounds": 3}, "option 'rounds': has no effect with --schedule constant"),
+    ],
+)
 def test_bad_options_of_a_block(folder, options, complaint):
     block = folder.block(0)
     (block.path / "block.json").write_text(json.dumps({**block.read(), "options": options}))
@@ -313,15 +336,22 @@ def test_what_rests_is_taken_up_only_as_it_was_left(tmp_path, monkeypatch, chang
 
 
 @pytest.mark.parametrize("fill", [False, True])
-def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(
-        tmp_path, monkeypatch, fill):
+def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(tmp_path, monkeypatch, fill):
     """Blocks 0, 1, 2 in a row, where the second part of block 1 fails."""
     found = {n: BlockFolder(tmp_path / f"00{n}") for n in range(4)}
     for n, others in ((0, [1]), (1, [0, 2]), (2, [1]), (3, [2])):
         found[n].path.mkdir()
-        write_object(found[n].path / "block.json", {
-            "number": n, "city": "c", "partition": "p", "options": {"device": "gpu"},
-            EXCHANGES: [100, 200], OTHERS: others})
+        write_object(
+            found[n].path / "block.json",
+            {
+                "number": n,
+                "city": "c",
+                "partition": "p",
+                "options": {"device": "gpu"},
+                EXCHANGES: [100, 200],
+                OTHERS: others,
+            },
+        )
     stages = []
     city = SimpleNamespace(blocks=found.values, block=found.__getitem__, add_stage=stages.append)
     monkeypatch.setattr(training_block, "_expected_work", lambda block: 1)
@@ -336,22 +366,29 @@ def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(
         job.done.touch()
 
     engine = Workers.run
-    monkeypatch.setattr(Workers, "run", lambda workers, jobs, here, *rest: engine(
-        workers, jobs, train, *rest))
-    outcomes = {outcome.job.block.path.name: outcome
-                for outcome in training_block.train_blocks(city, Workers(), None, fill=fill)}
+    monkeypatch.setattr(Workers, "run", lambda workers, jobs, here, *rest: engine(workers, jobs, train, *rest))
+    outcomes = {
+        outcome.job.block.path.name: outcome
+        for outcome in training_block.train_blocks(city, Workers(), None, fill=fill)
+    }
     firsts = [f"00{n}, stage 1 of 3" for n in range(4)]
     seconds = [f"00{n}, stage 2 of 3" for n in range(4)]
     last = "003, stage 3 of 3"  # needs the second parts of 2 and 3 only
     assert ran[:9] == [*firsts, *seconds, last]
     assert ran[9:] == (["000", "002"] if fill else [])
     assert [stage.name.removesuffix(", failed") for stage in stages] == ran
-    assert [stage.name for stage in stages if "failed" in stage.name] == [
-        "001, stage 2 of 3, failed"] and stages[0].worker == "this machine"
+    assert [stage.name for stage in stages if "failed" in stage.name] == ["001, stage 2 of 3, failed"] and stages[
+        0
+    ].worker == "this machine"
     assert {name: outcome.ok for name, outcome in outcomes.items()} == {
-        "000": True, "001": False, "002": True, "003": True}
+        "000": True,
+        "001": False,
+        "002": True,
+        "003": True,
+    }
     assert str(outcomes["001"].error) == "no such photo"
-    monkeypatch.setattr(Workers, "run", lambda workers, jobs, here, *rest: engine(
-        workers, jobs, lambda job: job.done.touch(), *rest))
+    monkeypatch.setattr(
+        Workers, "run", lambda workers, jobs, here, *rest: engine(workers, jobs, lambda job: job.done.touch(), *rest)
+    )
     assert all(outcome.ok for outcome in training_block.train_blocks(city, Workers(), None))
     assert all((block.run / "point_cloud.ply").exists() for block in found.values())

@@ -23,8 +23,7 @@ def looking(offset):
     z < 10 and reaches 15, of the world."""
     camera = Camera(*SIZE, (FOCAL, FOCAL), (32.0, 24.0), np.eye(3), np.zeros(3))
     points = np.array([[0.0, 0, 4], [0, 0, 6]])
-    scene = Scene("look", (View("a", camera, b""),), points, np.zeros((2, 3), np.uint8),
-                  np.full(3, offset))
+    scene = Scene("look", (View("a", camera, b""),), points, np.zeros((2, 3), np.uint8), np.full(3, offset))
     space = Space(np.eye(3), np.full(3, offset), np.full(3, 10.0))
     return scene, Region(space, low=[-np.inf, -np.inf, 0], high=[np.inf, np.inf, 1], margin=0.5)
 
@@ -37,8 +36,7 @@ def gaussians_at(positions, deviations):
 
 
 def started(device, given, scene, region):
-    return block_start(given, choose_gaussians(device, given.positions, given.log_scales, scene,
-                                               region, scene.views))
+    return block_start(given, choose_gaussians(device, given.positions, given.log_scales, scene, region, scene.views))
 
 
 @pytest.mark.parametrize("offset", [0.0, 3e6])
@@ -52,8 +50,13 @@ def test_cut(device, offset):
         assert np.array_equal(values, given.rows[name][kept]), name
     assert result.indices.tolist() == kept
     assert asdict(replace(result, gaussians=None, indices=None)) == {
-        "gaussians": None, "indices": None, "own": 1, "margin": 1, "surroundings": 3,
-        "dense": 0}
+        "gaussians": None,
+        "indices": None,
+        "own": 1,
+        "margin": 1,
+        "surroundings": 3,
+        "dense": 0,
+    }
 
 
 @pytest.mark.parametrize("offset", [0.0, 3e6])
@@ -69,11 +72,11 @@ def test_dense_gaussians_fill_the_gaps_of_what_a_block_reaches(item_device, offs
         assert np.array_equal(values[:-3], start.gaussians.rows[name]), name
         assert np.array_equal(values[-3:], dense.rows[name][[1, 2, 3]]), name
     few = filled(start, dense, scene, region, start.gaussians.count + 2)
-    assert few.dense == 2 and np.array_equal(few.gaussians.positions[:-2],
-                                             start.gaussians.positions)
+    assert few.dense == 2 and np.array_equal(few.gaussians.positions[:-2], start.gaussians.positions)
     assert filled(start, dense, scene, region, 1).gaussians.count == start.gaussians.count
-    nothing = replace(start, gaussians=Gaussians(
-        {name: values[:0] for name, values in start.gaussians.rows.items()}, 0))
+    nothing = replace(
+        start, gaussians=Gaussians({name: values[:0] for name, values in start.gaussians.rows.items()}, 0)
+    )
     assert filled(nothing, dense, scene, region).dense == 4
 
 
@@ -104,7 +107,6 @@ def test_far_gaussians_are_thinned_to_the_same_area(device):
     result = started(device, given, scene, region)
     assert result.surroundings == result.gaussians.count and result.own == result.margin == 0
     assert abs(result.surroundings - count / 4) < 4 * np.sqrt(count * 3 / 16)
-    larger = result.gaussians.log_scales - given.log_scales[:result.gaussians.count]
+    larger = result.gaussians.log_scales - given.log_scales[: result.gaussians.count]
     assert np.allclose(larger, np.log(2), atol=1e-4)
-    assert np.array_equal(result.gaussians.positions,
-                          started(device, given, scene, region).gaussians.positions)
+    assert np.array_equal(result.gaussians.positions, started(device, given, scene, region).gaussians.positions)

@@ -27,8 +27,22 @@ pytestmark = pytest.mark.slow  # each decisions a city that is trained
 
 # PoCL where the tests are not told otherwise
 DEVICE = os.environ.get("CLSPLAT_TEST_DEVICES", "all").replace("all", "Portable")
-FLAGS = ("-n", "60", "-r", "4", "--sh-degree", "1", "--exposure", "off",
-         "--grid", "2x1", "--least-views", "3", "--device", DEVICE)
+FLAGS = (
+    "-n",
+    "60",
+    "-r",
+    "4",
+    "--sh-degree",
+    "1",
+    "--exposure",
+    "off",
+    "--grid",
+    "2x1",
+    "--least-views",
+    "3",
+    "--device",
+    DEVICE,
+)
 
 
 def keys(folder, *more):
@@ -69,12 +83,12 @@ def copy(made, tmp_path):
 def test_the_folder_is_a_run_like_any_other(made):
     run = RunFolder.open(made.path)
     last = [record for record in run.records() if record["event"] == "eval"][-1]
-    parts = [RunFolder.open(path).records()[-1] for path in (
-        made.coarse, *(block.run for block in made.blocks()))]
+    parts = [RunFolder.open(path).records()[-1] for path in (made.coarse, *(block.run for block in made.blocks()))]
     assert len(parts) == 3
     assert not list(made.path.glob("*/report.html")) + list(made.path.glob("blocks/*/run/*.html"))
-    assert all(RunFolder(path).is_finished for path in (
-        made.path, made.coarse, *(block.run for block in made.blocks())))
+    assert all(
+        RunFolder(path).is_finished for path in (made.path, made.coarse, *(block.run for block in made.blocks()))
+    )
     assert last["iteration"] == sum(part["iteration"] for part in parts)
     assert last["train_seconds"] == pytest.approx(sum(part["train_seconds"] for part in parts))
     assert last["psnr"] > 12 and last["views"] == 4 and last["gaussians"] == run.load_model().count
@@ -86,8 +100,9 @@ def test_the_folder_is_a_run_like_any_other(made):
 
 
 def a_card(memory, is_cpu=False):
-    return SimpleNamespace(name="a card", is_cpu=is_cpu, real=np.dtype(np.float32),
-                           handle=SimpleNamespace(global_mem_size=memory))
+    return SimpleNamespace(
+        name="a card", is_cpu=is_cpu, real=np.dtype(np.float32), handle=SimpleNamespace(global_mem_size=memory)
+    )
 
 
 def test_large_blocks_have_the_gpu_to_themselves(tmp_path, monkeypatch):
@@ -95,8 +110,9 @@ def test_large_blocks_have_the_gpu_to_themselves(tmp_path, monkeypatch):
     scene = read_scene(CITY)
 
     def chosen(given, memory=2**36, *numbers, is_cpu=False, **changes):
-        return chosen_partition(given, City(CityFolder(tmp_path), scene, resolve({}, changes),
-                                            a_card(memory, is_cpu)), *numbers or (None,))
+        return chosen_partition(
+            given, City(CityFolder(tmp_path), scene, resolve({}, changes), a_card(memory, is_cpu)), *numbers or (None,)
+        )
 
     assert chosen({"grid": (2, 2)}).workers == 4
     assert chosen({"grid": (2, 2)}, is_cpu=True).workers == 1
@@ -145,8 +161,20 @@ def test_a_tree_is_drawn_as_the_model_it_replaces(copy, tmp_path, capsys, monkey
     monkeypatch.setitem(MOST_SIGMA_PIXELS, False, 1e6)
     far = pictures(copy, tmp_path / "far")
     assert 0.003 < abs(far - whole).mean() < 0.1
-    command("film", copy.path, "-o", tmp_path / "film", "--seconds", "0.1", "--fps", "20", "--size",
-            "64x48", "--device", DEVICE)
+    command(
+        "film",
+        copy.path,
+        "-o",
+        tmp_path / "film",
+        "--seconds",
+        "0.1",
+        "--fps",
+        "20",
+        "--size",
+        "64x48",
+        "--device",
+        DEVICE,
+    )
     assert len(list((tmp_path / "film").iterdir())) == 2
     command("merge", copy.path, "--device", DEVICE)  # of other blocks perhaps
     assert not (copy.path / "point_cloud.tree").exists()
@@ -193,10 +221,14 @@ def test_a_missing_block_is_named_and_may_be_filled(copy, capsys):
     assert "unfinished: its run has no model yet" in (copy.path / "report.html").read_text()
 
 
-@pytest.mark.parametrize("flags, cause", [
-    (("--grid", "1x2"), "was cut with grid [2, 1], not [1, 2]"),
-    (("-n", "70"), "was begun with iterations 60"),
-    (("--init", "random"), "--init, --coarse")])
+@pytest.mark.parametrize(
+    "flags, cause",
+    [
+        (("--grid", "1x2"), "was cut with grid [2, 1], not [1, 2]"),
+        (("-n", "70"), "was begun with iterations 60"),
+        (("--init", "random"), "--init, --coarse"),
+    ],
+)
 def test_other_options_are_refused(copy, capsys, flags, cause):
     city(copy.path, *flags, code=2)
     assert cause in capsys.readouterr().err
@@ -226,8 +258,11 @@ def test_a_model_that_cannot_be_written_loses_nothing(copy, capsys):
 
 
 def scores(folder):
-    return [{key: value for key, value in record.items() if "seconds" not in key}
-            for record in RunFolder(folder.path).records() if record["event"] in ("eval", "seams")]
+    return [
+        {key: value for key, value in record.items() if "seconds" not in key}
+        for record in RunFolder(folder.path).records()
+        if record["event"] in ("eval", "seams")
+    ]
 
 
 def test_two_workers_on_one_device_share_its_memory_budget_and_end_in_the_same(made, tmp_path):

@@ -54,13 +54,16 @@ def gaussians(scene):
 
 
 def exposures_of(scene):
-    return {view.name: Response(np.eye(3, 4) + 0.01 * i / 3, np.array([0.1, -0.2, i / 3, 1.5]))
-            for i, view in enumerate(scene.views[:10])}
+    return {
+        view.name: Response(np.eye(3, 4) + 0.01 * i / 3, np.array([0.1, -0.2, i / 3, 1.5]))
+        for i, view in enumerate(scene.views[:10])
+    }
 
 
 def written(folder, scene, gaussians, number=0, views=VIEWS, **identity):
-    return folder.write_block(number, scene, views, WEST, {}, gaussians, exposures_of(scene),
-                              OPTIONS, {**folder.identity(), **identity})
+    return folder.write_block(
+        number, scene, views, WEST, {}, gaussians, exposures_of(scene), OPTIONS, {**folder.identity(), **identity}
+    )
 
 
 def files(block):
@@ -85,8 +88,7 @@ def check_part(block, scene, views=VIEWS):
         moved = view.camera.position + read.offset - other.camera.position - scene.offset
         assert np.abs(moved).max() < 1e-6
         assert bytes_of(view) == bytes_of(other)
-    assert sightings(read) == {row for row in sightings(scene)
-                               if row[3] in {view.name for view in chosen}}
+    assert sightings(read) == {row for row in sightings(scene) if row[3] in {view.name for view in chosen}}
     assert block.region()[0].record() == WEST.record()
     return read
 
@@ -109,8 +111,13 @@ def test_a_block_is_a_scene(city, scene, gaussians, away):
         assert np.array_equal(response.vignetting, expected[name].vignetting)
     there = read_ply(block.initial, far.offset)
     assert np.allclose(there.positions, gaussians.positions, atol=1e-4)
-    assert block.read() == {"number": 0, **city.identity(), "start": digest_of(block.initial),
-                            "options": {**OPTIONS, "levels": [2.0, 1.0]}, "format": 1}
+    assert block.read() == {
+        "number": 0,
+        **city.identity(),
+        "start": digest_of(block.initial),
+        "options": {**OPTIONS, "levels": [2.0, 1.0]},
+        "format": 1,
+    }
     block.check()
     model = pycolmap.Reconstruction(str(block.path / "sparse" / "0"))
     assert model.compute_mean_reprojection_error() < 1e-6  # tracks lie on their points
@@ -142,20 +149,27 @@ def test_masks_and_depth_maps_of_a_block(city, scene, gaussians, tmp_path):
 
 
 @pytest.mark.parametrize("moment", ["write.link_file", "write_ply"])
-@pytest.mark.parametrize("trouble", [
-    KeyboardInterrupt(), OSError(errno.ENOSPC, "disk full"),
-    InputError("file: cannot be written (disk full); free some space")],
-    ids=["interrupted", "full", "a full file"])
+@pytest.mark.parametrize(
+    "trouble",
+    [
+        KeyboardInterrupt(),
+        OSError(errno.ENOSPC, "disk full"),
+        InputError("file: cannot be written (disk full); free some space"),
+    ],
+    ids=["interrupted", "full", "a full file"],
+)
 def test_a_block_is_whole_or_not_there(city, scene, gaussians, monkeypatch, moment, trouble):
     def end(*_, **__):
         raise trouble
+
     *holder, name = moment.split(".")
     with monkeypatch.context() as patch:
         patch.setattr(write if holder else module, name, end)
         with pytest.raises((InputError, KeyboardInterrupt)) as caught:
             written(city, scene, gaussians)
     assert caught.value is trouble or str(caught.value).startswith(
-        f"{city.block(0).path}: cannot be written (disk full); ")
+        f"{city.block(0).path}: cannot be written (disk full); "
+    )
     assert not list((city.path / "blocks").iterdir()) and city.blocks() == []
     (city.path / "blocks" / "000.part" / "sparse").mkdir(parents=True)  # of a killed process
     block, other = written(city, scene, gaussians), written(city, scene, gaussians, number=1)
@@ -182,8 +196,9 @@ DAMAGED = ["", "[]", '{"number": "1"}', '{"fingerprint": 3}', '{"a": NaN}', "\xf
 
 
 @pytest.mark.parametrize("text", DAMAGED, ids=repr)
-@pytest.mark.parametrize("name", ["city.json", "blocks/000/block.json", "blocks/000/region.json",
-                                  "blocks/000/exposures.json"])
+@pytest.mark.parametrize(
+    "name", ["city.json", "blocks/000/block.json", "blocks/000/region.json", "blocks/000/exposures.json"]
+)
 @pytest.mark.one_in(5)
 def test_damaged_files(city, scene, gaussians, name, text):
     if name.endswith("exposures.json") and text.startswith('{"n'):
@@ -214,9 +229,11 @@ def test_a_city_begins_in_a_folder_of_its_own(tmp_path):
 
 def test_visits_travel_with_the_block(city, scene, gaussians):
     names = [scene.views[index].name for index in VIEWS]
-    block = city.write_block(0, scene, VIEWS, WEST, {}, gaussians, None, OPTIONS, city.identity(),
-                             visits={names[0]: 0.25})
+    block = city.write_block(
+        0, scene, VIEWS, WEST, {}, gaussians, None, OPTIONS, city.identity(), visits={names[0]: 0.25}
+    )
     parts = BlockScene.read(block).parts(False)
     weights = next(part for part in parts if isinstance(part, SampleWeights))
     assert weights.visits(read_scene(block.path).views).tolist() == [
-        0.25 if view.name == names[0] else 1.0 for view in read_scene(block.path).views]
+        0.25 if view.name == names[0] else 1.0 for view in read_scene(block.path).views
+    ]

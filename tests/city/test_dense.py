@@ -66,8 +66,7 @@ def test_a_job_finds_the_same_ones_and_can_be_stopped(tmp_path, item_device):
     assert found[0] == found[1]
 
 
-@pytest.mark.parametrize("options", [{"init": "sfm"}, {"iterations": 10},
-                                     {"schedule": "constant"}], ids=str)
+@pytest.mark.parametrize("options", [{"init": "sfm"}, {"iterations": 10}, {"schedule": "constant"}], ids=str)
 def test_no_city_has_them_where_one_run_begins_at_sparse_points(folder, scene, options):
     whole = City(folder, scene, resolve({}, {**LONG, **options}), None)
     find_dense_gaussians(whole)
@@ -95,8 +94,7 @@ def test_blocks_begin_with_them(tmp_path, capsys):
     assert min(added) > 100 and max(added) < found
     for block, more in zip(made.blocks(), added):
         record = block.read("own", "margin", "surroundings")
-        assert read_ply(block.initial).count == more + sum(
-            record[key] for key in ("own", "margin", "surroundings"))
+        assert read_ply(block.initial).count == more + sum(record[key] for key in ("own", "margin", "surroundings"))
     assert records(RunFolder(made.coarse), "plan")[0]["reasons"]["init"].startswith("sfm")
     again = [path.stat().st_mtime_ns for path in (made.dense, made.block(0).initial)]
     (made.path / "point_cloud.ply").unlink()

@@ -26,10 +26,21 @@ from clsplat.partition.region import Partition, Region, Space, world_of
 from clsplat.training.checkpoint import Checkpoint
 from tests.data.tiny_training import CITY, model_digest
 
-OPTIONS = {"iterations": 130, "downscale": 8.0, "test_every": 0, "schedule": "constant",
-           "sh_degree": 1, "sh_every": 1, "densify_from": 20, "densify_every": 40,
-           "densify_until": 120, "reset_every": 0, "eval_every": 0, "exposure": "off",
-           "checkpoint_every": 0}
+OPTIONS = {
+    "iterations": 130,
+    "downscale": 8.0,
+    "test_every": 0,
+    "schedule": "constant",
+    "sh_degree": 1,
+    "sh_every": 1,
+    "densify_from": 20,
+    "densify_every": 40,
+    "densify_until": 120,
+    "reset_every": 0,
+    "eval_every": 0,
+    "exposure": "off",
+    "checkpoint_every": 0,
+}
 AT = 100  # the exchange
 
 
@@ -47,12 +58,23 @@ def stopped(tmp_path_factory, item_device):
     city.write_partition(Partition("by hand", (west, east), views).record())
     first = Gaussians.from_points(scene.points, scene.colours, 1)
     for number, region in enumerate((west, east)):
-        part = replace(scene, views=tuple(scene.views[i] for i in views[number]),
-                       observations=None).reduced(8.0, 10_000)
-        start = block_start(first, choose_gaussians(item_device, first.positions, first.log_scales,
-                                                    scene, region, part.views))
-        city.write_block(number, scene, views[number], region, {}, start.gaussians, None, OPTIONS, {
-            **city.identity(), OTHERS: [1 - number], EXCHANGES: [AT]})
+        part = replace(scene, views=tuple(scene.views[i] for i in views[number]), observations=None).reduced(
+            8.0, 10_000
+        )
+        start = block_start(
+            first, choose_gaussians(item_device, first.positions, first.log_scales, scene, region, part.views)
+        )
+        city.write_block(
+            number,
+            scene,
+            views[number],
+            region,
+            {},
+            start.gaussians,
+            None,
+            OPTIONS,
+            {**city.identity(), OTHERS: [1 - number], EXCHANGES: [AT]},
+        )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training_block, "choose_device", lambda *_, **__: item_device)
         said = train_block(city.block(0))
@@ -67,10 +89,10 @@ def exchanged(block, own, others=None):
     """What a block owns at its exchange, and behind that what it holds of others; and the state."""
     others = exchange.other_blocks(block) if others is None else others
     arrays, state = exchange.owned_at(block, 1)
-    beyond = exchange._beyond(training_block.choose_device(), exchange.BlockRun(
-        block, own, 1, (arrays, state)), others, block_options(block))
-    return {**arrays, **{name: np.concatenate([arrays[name], rows])
-                         for name, rows in beyond.items()}}, state
+    beyond = exchange._beyond(
+        training_block.choose_device(), exchange.BlockRun(block, own, 1, (arrays, state)), others, block_options(block)
+    )
+    return {**arrays, **{name: np.concatenate([arrays[name], rows]) for name, rows in beyond.items()}}, state
 
 
 @pytest.fixture
@@ -103,17 +125,19 @@ def test_a_block_goes_on_from_what_others_own(city):
     reached = own.region.reaches(owned)
     assert 50 < reached.sum() < len(owned) and np.isin(np.flatnonzero(reached), row).all()
     for name, power in (("m.positions", 1), ("v.positions", 2)):  # gradients by the same lengths
-        assert np.allclose(after[name][count:] * (other.unit / scene.unit) ** power,
-                           part[name][row], rtol=1e-4), name
+        assert np.allclose(after[name][count:] * (other.unit / scene.unit) ** power, part[name][row], rtol=1e-4), name
     assert not after["frozen.rows"].any() and (after["adam.last_step"] == AT).all()
 
 
 def save(run, arrays, state):
     """Save as a training does that has these arrays."""
     rows = run.saved_rows(state["iteration"], lambda: arrays["row.positions"])
-    run.save_checkpoint(arrays if rows is None else {
-        name: values[rows] if exchange._is_by_gaussian(name) else values
-        for name, values in arrays.items()}, state)
+    run.save_checkpoint(
+        arrays
+        if rows is None
+        else {name: values[rows] if exchange._is_by_gaussian(name) else values for name, values in arrays.items()},
+        state,
+    )
 
 
 @pytest.mark.slow
@@ -130,8 +154,7 @@ def test_at_an_exchange_the_file_takes_the_place_of_the_checkpoint(city):
     assert not file.exists()
     after = read_npz(block.exchanged(1))
     assert set(after) == set(before)
-    assert all(np.array_equal(after[name], values) for name, values in before.items()
-               if name != "state.json")
+    assert all(np.array_equal(after[name], values) for name, values in before.items() if name != "state.json")
     run = exchange.BlockRun(block, own, 0, (arrays, state))
     assert len(run.owned) == len(arrays["row.positions"]) and not len(run.none["m.positions"])
     assert run.has_checkpoint and run.load_checkpoint()[0] is arrays and not run.has_checkpoint
@@ -142,8 +165,11 @@ def test_rows_of_several_blocks_are_held_in_their_order(monkeypatch):
     rng = np.random.default_rng(0)
 
     def rows(count):
-        found = {f"{kind}.{name}": rng.random((count, 3)).astype(np.float32)
-                 for kind in exchange.BY_GAUSSIAN for name in ("positions", "log_scales")}
+        found = {
+            f"{kind}.{name}": rng.random((count, 3)).astype(np.float32)
+            for kind in exchange.BY_GAUSSIAN
+            for name in ("positions", "log_scales")
+        }
         return {**found, "statistics.seen_count": np.arange(count, dtype=np.uint32)}
 
     none, others, read = rows(0), [rows(2), rows(5), rows(3), rows(2)], []
@@ -152,9 +178,11 @@ def test_rows_of_several_blocks_are_held_in_their_order(monkeypatch):
 
     def owned(number, _, record, wanted, rows=slice(None)):
         read.append((number, *wanted))
-        return {name: values[rows] for name, values in others[number].items()
-                if name in (*wanted, "statistics.seen_count")
-                or name.partition(".")[0] in wanted}, None
+        return {
+            name: values[rows]
+            for name, values in others[number].items()
+            if name in (*wanted, "statistics.seen_count") or name.partition(".")[0] in wanted
+        }, None
 
     def choose(_, positions, log_scales, *__):
         assert np.array_equal(positions, np.concatenate([o["row.positions"] for o in others]))
@@ -193,12 +221,12 @@ def test_a_block_that_goes_on_alone_has_again_the_margin_with_which_it_began(cit
     block, own = city.block(0), BlockScene.read(city.block(0))
     after, _ = exchanged(block, own, [])
     before, start = read_npz(block.exchanged(1)), read_ply(block.initial, own.scene.offset)
-    count, beyond = len(before["row.positions"]), ~own.region.owns(
-        world_of(own.scene, start.positions))
+    count, beyond = len(before["row.positions"]), ~own.region.owns(world_of(own.scene, start.positions))
     assert np.array_equal(after["row.positions"][:count], before["row.positions"])
     scene = own.scene.reduced(8.0, 10_000).normalised()
-    assert np.allclose(world_of(scene, after["row.positions"][count:]),
-                       world_of(own.scene, start.positions[beyond]), atol=1e-5)
+    assert np.allclose(
+        world_of(scene, after["row.positions"][count:]), world_of(own.scene, start.positions[beyond]), atol=1e-5
+    )
     assert not after["m.positions"][count:].any() and after["m.positions"][:count].any()
     assert train_block(block, alone=True) == "finished"
 
@@ -214,8 +242,12 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
         raise SystemExit(9)
 
     # in the exchange, after it, and where the training ends that follows it
-    for owner, name in ((exchange, "choose_gaussians"), (training_block, "training_of"),
-                        (Checkpoint, "check_model"), (RunFolder, "save_model")):
+    for owner, name in (
+        (exchange, "choose_gaussians"),
+        (training_block, "training_of"),
+        (Checkpoint, "check_model"),
+        (RunFolder, "save_model"),
+    ):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, dies)
             with pytest.raises(SystemExit):
@@ -247,10 +279,11 @@ def test_a_training_that_rests_goes_on_to_the_same_bytes(city, item_device, engi
     begun.run.owned = np.arange(len(begun.run.owned))  # which come first now
     for kind, field in (("m", "positions"), ("v", "sh_rest")):  # of rows of others, too
         name = f"{kind}.{field}"
-        assert expected[name][len(begun.run.owned):].any()
+        assert expected[name][len(begun.run.owned) :].any()
         rounding = 0.1 if engine == "coded" else 1e-6
-        assert np.allclose(moments[kind][field], expected[name], rtol=rounding,
-                           atol=rounding * 1e-2 * abs(expected[name]).max()), name
+        assert np.allclose(
+            moments[kind][field], expected[name], rtol=rounding, atol=rounding * 1e-2 * abs(expected[name]).max()
+        ), name
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training_block, "owned_at", lambda *_: pytest.fail("read from files"))
         assert train_block(city.block(1), item_device, rests=True) == "finished"
@@ -279,8 +312,9 @@ def test_a_block_stops_where_it_is_told_to_though_others_have_come_as_far(city):
     assert said == f"stops at exchange 1 of 1, after step {AT}"
     assert not run.has_checkpoint and not run.has_model
     again = read_npz(part)
-    assert all(np.array_equal(again[name], values) for name, values in content.items()
-               if name != "state.json")  # which has seconds
+    assert all(
+        np.array_equal(again[name], values) for name, values in content.items() if name != "state.json"
+    )  # which has seconds
     assert train_block(block) == "finished"
 
 
@@ -329,8 +363,11 @@ def test_parts_that_cannot_be_used_are_named(city):
     arrays["m.positions"][:] = np.nan
     with open(other.exchanged(1).with_suffix(".nan"), "wb") as file:
         write_npz(file, arrays)
-    for damaged in (content[:-300], other.exchanged(1).with_suffix(".nan").read_bytes(),
-                    content[:places] + b"?" + content[places + 1:]):
+    for damaged in (
+        content[:-300],
+        other.exchanged(1).with_suffix(".nan").read_bytes(),
+        content[:places] + b"?" + content[places + 1 :],
+    ):
         other.exchanged(1).write_bytes(damaged)
         with pytest.raises(InputError, match=r"exchange_1.npz: not .*damaged .* train that block"):
             exchanged(block, BlockScene.read(block))

@@ -31,12 +31,10 @@ def test_the_expected_number_is_the_limit_of_the_schedule(city):
     assert expected(schedule="mcmc", max_gaussians=7) == points, "it begins with so many"
     assert expected(schedule="constant") == pixels // run.PIXELS_PER_GAUSSIAN
     assert expected(pixels_per_gaussian=90.0) == pixels // 90
-    assert expected(pixels_per_gaussian=90.0, downscale=2.0) == pytest.approx(
-        max(points, pixels / 360), rel=0.01)
+    assert expected(pixels_per_gaussian=90.0, downscale=2.0) == pytest.approx(max(points, pixels / 360), rel=0.01)
     shown_in = facts(resolve({}, {"test_every": 0})).shown_in
     assert 3 < shown_in < 9
-    assert expected(pixels_per_gaussian=20.0) == int(
-        pixels / shown_in / run.PIXELS_OF_A_PLACE) < pixels // 20
+    assert expected(pixels_per_gaussian=20.0) == int(pixels / shown_in / run.PIXELS_OF_A_PLACE) < pixels // 20
 
 
 def test_blocks_that_share_a_device_fit_it_together(city, tmp_path):
@@ -56,13 +54,20 @@ def test_blocks_that_share_a_device_fit_it_together(city, tmp_path):
 
 
 @pytest.mark.one_in(3)
-@pytest.mark.parametrize("flags, numbers", [
-    ((), (None, 1)), (("--workers", "4"), (4, 1)), (("--device", "cpu,cpu"), (None, 2)),
-    (("--workers", "4", "--device", "cpu,cpu"), (4, 2)),
-    (("--scheduler", "tcp://127.0.0.1:1"), (1, 1)),
-    (("--workers", "4", "--scheduler", "tcp://127.0.0.1:1"), (4, 4))])
+@pytest.mark.parametrize(
+    "flags, numbers",
+    [
+        ((), (None, 1)),
+        (("--workers", "4"), (4, 1)),
+        (("--device", "cpu,cpu"), (None, 2)),
+        (("--workers", "4", "--device", "cpu,cpu"), (4, 2)),
+        (("--scheduler", "tcp://127.0.0.1:1"), (1, 1)),
+        (("--workers", "4", "--scheduler", "tcp://127.0.0.1:1"), (4, 4)),
+    ],
+)
 def test_workers_share_the_devices_that_are_named(tmp_path, monkeypatch, flags, numbers):
     """On a cluster each has its own."""
+
     def noted(*given):
         assert given[2:4] == numbers
         raise InputError("noted")
@@ -74,8 +79,7 @@ def test_workers_share_the_devices_that_are_named(tmp_path, monkeypatch, flags, 
 
 def test_a_scene_that_fits_in_one_block_needs_no_city():
     def note(**chosen):
-        return run.one_block_note(PartitionOptions(**{"expected": 10**6, **chosen}),
-                                  Path("my scene"))
+        return run.one_block_note(PartitionOptions(**{"expected": 10**6, **chosen}), Path("my scene"))
 
     assert "`clsplat train my scene`" in note(block_gaussians=4 * 10**6)
     assert note(block_gaussians=2 * 10**6) == "", "margins belong to several blocks"
@@ -93,8 +97,9 @@ def test_what_ten_times_the_photos_take():
     view = SimpleNamespace(camera=SimpleNamespace(width=100, height=50))
     options = resolve({}, {"iterations": 1000})
     limit = run.gaussians_that_fit(device, options)
-    planned = SimpleNamespace(train_views=[view] * 80, scene=SimpleNamespace(views=[view] * 100),
-                              decisions=SimpleNamespace(facts=None))
+    planned = SimpleNamespace(
+        train_views=[view] * 80, scene=SimpleNamespace(views=[view] * 100), decisions=SimpleNamespace(facts=None)
+    )
     forecast = SimpleNamespace(gaussians=limit // 2, seconds=3600.0, steps=1000)
 
     def scale_table(*given):
@@ -107,12 +112,10 @@ def test_what_ten_times_the_photos_take():
     table = scale_table([200], 4)
     assert large[1:2] == scale_table([2000], 4).rows[0][1:2]
     rounds = -(-int(large[1]) // 4)  # of blocks on four devices, after the coarse run
-    assert hours(scale_table([2000], 4))[1] == pytest.approx(
-        20 * (0.25 + 2 * rounds / int(large[1])), rel=0.006)
+    assert hours(scale_table([2000], 4))[1] == pytest.approx(20 * (0.25 + 2 * rounds / int(large[1])), rel=0.006)
     assert table.rows[0][1] == "4" and hours(table) == pytest.approx([4.5, 0.5 + 1], abs=0.006)
     # one run takes the steps of its schedule: 300 a photo of 80 in 100, and at least 7,000
     options = resolve({}, {"schedule": "constant"})
     forecast = SimpleNamespace(gaussians=1, seconds=3600.0, steps=24_000)
-    assert hours(run.scale_table(planned, options, forecast, device, [110]))[0] == pytest.approx(
-        1.1, rel=0.006)
+    assert hours(run.scale_table(planned, options, forecast, device, [110]))[0] == pytest.approx(1.1, rel=0.006)
     assert run.scale_table(planned, options, forecast, device, [10]).rows[0][3] == "7,000"

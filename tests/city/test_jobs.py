@@ -68,16 +68,14 @@ def test_jobs_run_in_order_and_once(tmp_path):
     given[1].done.touch()
     outcomes = run(given, here=here, began=lambda job: began.append(job.name), ended=seen.append)
     assert called == began == ["000", "002"] == [outcome.job.name for outcome in seen]
-    assert [(o.ok, o.tries, o.value) for o in outcomes] == [
-        (True, 1, 1), (True, 0, None), (True, 1, 2)]
+    assert [(o.ok, o.tries, o.value) for o in outcomes] == [(True, 1, 1), (True, 0, None), (True, 1, 2)]
     assert outcomes[0].worker == HERE
     assert run(given, here=here)[0].tries == 0 and len(called) == len(seen)
 
 
 @pytest.mark.slow
 def test_a_job_runs_beside_what_this_process_does(tmp_path):
-    works, fails, late = (replace(job, failures=number == 1) for number, job in
-                          enumerate(some_jobs(tmp_path, 3)))
+    works, fails, late = (replace(job, failures=number == 1) for number, job in enumerate(some_jobs(tmp_path, 3)))
     with Workers(1) as workers:  # there is no other process
         assert workers.begin(works) is None and workers.end(None) is None
     with Workers(2, devices=("0", "0")) as workers:  # nor one with another device
@@ -90,10 +88,15 @@ def test_a_job_runs_beside_what_this_process_does(tmp_path):
         assert [outcome.ok for outcome in workers.run([late], None)] == [True]
 
 
-@pytest.mark.parametrize("error, tries, message", [
-    (InputError("no photos: add some"), 1, "no photos: add some"),
-    (OutOfDeviceMemory("no memory"), 1, "no memory"),
-    (ValueError("a bug"), MOST_TRIES, "a bug"), (Lost("it died"), MOST_TRIES, "it died")])
+@pytest.mark.parametrize(
+    "error, tries, message",
+    [
+        (InputError("no photos: add some"), 1, "no photos: add some"),
+        (OutOfDeviceMemory("no memory"), 1, "no memory"),
+        (ValueError("a bug"), MOST_TRIES, "a bug"),
+        (Lost("it died"), MOST_TRIES, "it died"),
+    ],
+)
 def test_failures_are_reported_and_the_other_jobs_run(tmp_path, error, tries, message):
     def here(job):
         if job.name == "001":
@@ -136,7 +139,9 @@ def test_what_needs_a_job_that_failed_is_not_tried(tmp_path):
     first, failed, third = run(given, here=here, ended=seen.append)
     assert [outcome.job.name for outcome in seen] == ["001"] and str(failed.error) == "no photos"
     assert [(o.ok, o.tries, str(o.error)) for o in (first, third)] == [
-        (False, 0, "it waits for 001"), (False, 0, "it waits for 000")]
+        (False, 0, "it waits for 001"),
+        (False, 0, "it waits for 000"),
+    ]
 
 
 @pytest.mark.slow
@@ -202,18 +207,23 @@ def test_a_job_goes_where_the_latest_one_of_its_folder_was(tmp_path, monkeypatch
 
 def driver(*words, on_interrupt=signal.SIG_DFL):
     """`Workers.run` in a new process; background jobs of a shell ignore Ctrl-C."""
-    return subprocess.Popen([sys.executable, "-m", "tests.city.jobs_driver", *map(str, words)],
-                            cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-                            start_new_session=True,
-                            # Windows has none
-                            preexec_fn=None if os.name == "nt" else (
-                                lambda: signal.signal(signal.SIGINT, on_interrupt)))
+    return subprocess.Popen(
+        [sys.executable, "-m", "tests.city.jobs_driver", *map(str, words)],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # Windows has none
+        preexec_fn=None if os.name == "nt" else (lambda: signal.signal(signal.SIGINT, on_interrupt)),
+    )
 
 
 @needs_signals
 @pytest.mark.slow
-@pytest.mark.parametrize("name, on_interrupt", [
-    ("SIGINT", signal.SIG_DFL), ("SIGKILL", signal.SIG_IGN)], ids=["Ctrl-C", "kill -9"])
+@pytest.mark.parametrize(
+    "name, on_interrupt", [("SIGINT", signal.SIG_DFL), ("SIGKILL", signal.SIG_IGN)], ids=["Ctrl-C", "kill -9"]
+)
 def test_processes_save_and_end_with_their_parent(tmp_path, name, on_interrupt):
     number = getattr(signal, name)
     given = some_jobs(tmp_path, 3)
@@ -252,6 +262,7 @@ def test_without_dask_the_cure_is_named(tmp_path, monkeypatch):
 def dask():
     pytest.importorskip("distributed")
     from tests.city.dask_processes import DaskProcesses
+
     with DaskProcesses() as started:
         yield started
 
@@ -263,15 +274,21 @@ def on_cluster(dask, given, **rest):
 
 def dask_workers(dask):
     import distributed
+
     with distributed.Client(dask.address, set_as_default=False) as client:
         return client.scheduler_info()["workers"]
 
 
 def at_work(given):
     """Those that have made a step since their last start, and have not ended."""
-    return [job for job in given if lines(job, STEPPED) and not lines(job, ENDS)
-            and lines(job, STEPPED)[-1] > lines(job, STARTS)[-1]
-            and is_alive(int(processes_of([job])[0]))]
+    return [
+        job
+        for job in given
+        if lines(job, STEPPED)
+        and not lines(job, ENDS)
+        and lines(job, STEPPED)[-1] > lines(job, STARTS)[-1]
+        and is_alive(int(processes_of([job])[0]))
+    ]
 
 
 @pytest.mark.slow

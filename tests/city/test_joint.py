@@ -1,5 +1,4 @@
-"""The joint training of a merged city: when there is one, with what it begins, and what it ends in.
-"""
+"""The joint training of a merged city: when there is one, with what it begins, and what it ends in."""
 
 import shutil
 import signal
@@ -62,13 +61,16 @@ def test_what_the_user_says_holds(tmp_path):
     assert steps(tmp_path, given={"exchanges": 2, "block_steps": 3.0})[1:] == (2, 3.0)
 
 
-@pytest.mark.parametrize("recorded", [
-    {"exchanges": 3, "block_steps": 2.0},  # of a version without joint training
-    {"joint_steps": 0.5, "exchanges": 0, "block_steps": 1.0}])
+@pytest.mark.parametrize(
+    "recorded",
+    [
+        {"exchanges": 3, "block_steps": 2.0},  # of a version without joint training
+        {"joint_steps": 0.5, "exchanges": 0, "block_steps": 1.0},
+    ],
+)
 def test_a_city_keeps_the_steps_with_which_it_was_cut(tmp_path, recorded):
     CityFolder(tmp_path).write_partition({"asked": recorded})
-    wanted = tuple({"joint_steps": 0.0, **recorded}[name]
-                   for name in ("joint_steps", "exchanges", "block_steps"))
+    wanted = tuple({"joint_steps": 0.0, **recorded}[name] for name in ("joint_steps", "exchanges", "block_steps"))
     assert steps(tmp_path) == steps(tmp_path, SMALL) == wanted
 
 
@@ -98,8 +100,7 @@ def test_a_joint_training_of_another_model_is_removed(folder, merged):
     merged.rows["positions"][0] += 1
     begin_with(whole, merged)
     assert not kept.exists()
-    assert sorted(path.name for path in folder.path.iterdir()) == ["joint_start.ply",
-                                                                   "partition.json"]
+    assert sorted(path.name for path in folder.path.iterdir()) == ["joint_start.ply", "partition.json"]
 
 
 def test_it_begins_at_the_points_of_the_merged_model(folder):
@@ -143,9 +144,7 @@ def test_a_limit_of_gaussians_is_one_of_each_block(folder, merged):
     assert (most(0), most(5), most(20)) == (0, 9, 20)
 
 
-@pytest.mark.parametrize("given, cause", [
-    ({"iterations": "many"}, "iterations"),
-    ({"nothing": 1}, "nothing")])
+@pytest.mark.parametrize("given, cause", [({"iterations": "many"}, "iterations"), ({"nothing": 1}, "nothing")])
 def test_damaged_options_are_named(folder, given, cause):
     with pytest.raises(InputError, match=f"partition.json: .*{cause}"):
         joint_options(whole_of(folder), given, 9)
@@ -153,21 +152,21 @@ def test_damaged_options_are_named(folder, given, cause):
 
 def test_options_that_are_no_table_are_named(folder, merged):
     folder.write_partition({"asked": [1], JOINT: "many"})
-    for key, read in (("asked", lambda: requested_of(folder)),
-                      (JOINT, lambda: train_jointly(whole_of(folder), merged))):
+    for key, read in (
+        ("asked", lambda: requested_of(folder)),
+        (JOINT, lambda: train_jointly(whole_of(folder), merged)),
+    ):
         with pytest.raises(InputError, match=rf"partition.json: damaged \({key} is .*; remove it"):
             read()
 
 
 @pytest.mark.parametrize("error", [OutOfDeviceMemory, DeviceError])
-def test_a_device_that_cannot_hold_the_whole_leaves_it_as_merged(
-        folder, merged, monkeypatch, caplog, error):
+def test_a_device_that_cannot_hold_the_whole_leaves_it_as_merged(folder, merged, monkeypatch, caplog, error):
     def fails(*_):
         raise error("a card: no memory")
 
     blocks = Merged(merged, (), {}, folder.path)
-    for name, value in (("merge", lambda *_: blocks), ("train_jointly", fails),
-                        ("_note_merge", lambda *_: None)):
+    for name, value in (("merge", lambda *_: blocks), ("train_jointly", fails), ("_note_merge", lambda *_: None)):
         monkeypatch.setattr(merging, name, value)
     if error is DeviceError:
         with pytest.raises(error):
@@ -185,8 +184,7 @@ def trained(tmp_path_factory):
 @pytest.mark.nightly
 def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
     run, joint = RunFolder(trained.path), RunFolder(trained.joint)
-    offset, scene, record = np.array(run.read_options()["offset"]), read_scene(CITY), (
-        joint.read_options())
+    offset, scene, record = np.array(run.read_options()["offset"]), read_scene(CITY), (joint.read_options())
     assert record["iterations"] == 30 and joint.is_finished
     # it has the scene of one run: the same extent, and the same views held out
     assert record["test_every"] == trained.read()["options"]["test_every"] == 8
@@ -200,8 +198,10 @@ def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
     shares = merging.merge_record(trained)["blocks"]
     assert owner.tolist() == [0] * shares[0]["gaussians"] + [1] * shares[1]["gaussians"]
     assert not np.array_equal(read_ply(trained.joint_start, offset).positions, whole.positions)
-    parts = [RunFolder.open(path).records()[-1] for path in (
-        trained.coarse, *(block.run for block in trained.blocks()), trained.joint)]
+    parts = [
+        RunFolder.open(path).records()[-1]
+        for path in (trained.coarse, *(block.run for block in trained.blocks()), trained.joint)
+    ]
     scores = [record for record in run.records() if record["event"] == "eval"][-1]
     assert scores["iteration"] == sum(part["iteration"] for part in parts)
     assert scores["gaussians"] == joint.load_model(offset).count
@@ -209,8 +209,9 @@ def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
     page = (run.path / "report.html").read_text()
     assert "as a whole for 30 steps" in page
     assert "overlap" not in page  # the blocks' own gaussians are not shown
-    assert not any(record["event"] == "eval" for part in (trained.coarse, trained.joint)
-                   for record in RunFolder(part).records())
+    assert not any(
+        record["event"] == "eval" for part in (trained.coarse, trained.joint) for record in RunFolder(part).records()
+    )
 
 
 @pytest.mark.nightly
@@ -238,8 +239,7 @@ def test_a_stopped_joint_training_goes_on(trained, tmp_path, monkeypatch):
 def test_a_coarse_run_goes_on_with_the_steps_with_which_it_began(tmp_path, item_device):
     """On another device the city may have no joint training, and other steps."""
     folder, scene = CityFolder(tmp_path), read_scene(CITY)
-    options = resolve({}, {"iterations": 24, "downscale": 8.0, "sh_degree": 0, "exposure": "off",
-                           "init": "sfm"})
+    options = resolve({}, {"iterations": 24, "downscale": 8.0, "sh_degree": 0, "exposure": "off", "init": "sfm"})
     with pytest.raises(Interrupted):
         train_coarse(City(folder, scene, replace(options, stop_at=4), item_device), joint=True)
     run = train_coarse(City(folder, scene, options, item_device))
@@ -248,13 +248,15 @@ def test_a_coarse_run_goes_on_with_the_steps_with_which_it_began(tmp_path, item_
 
 def test_an_interrupt_in_the_last_step_of_a_part_stops_the_city(tmp_path, item_device):
     """The part is finished, but the city must not go on to the next one."""
+
     def press(record):
         if record["event"] == "end":
             signal.raise_signal(signal.SIGINT)
 
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs of a shell ignore it
-    options = resolve({}, {"iterations": 4, "downscale": 8.0, "sh_degree": 0, "exposure": "off",
-                           "init": "sfm", "coarse": True})
+    options = resolve(
+        {}, {"iterations": 4, "downscale": 8.0, "sh_degree": 0, "exposure": "off", "init": "sfm", "coarse": True}
+    )
     run = RunFolder.create(tmp_path / "coarse")
     try:
         with handled_interrupts(), pytest.raises(Interrupted):

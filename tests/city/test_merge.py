@@ -34,17 +34,18 @@ def scene():
 def quarters(scene, middle=(0.0, 0.0)):
     """Partition of the sample city in 2 x 2 cells that meet above `middle`, local."""
     (x, y), inf = np.array(middle) / 30, np.inf
-    cells = [([-inf, -inf], [x, y]), ([x, -inf], [inf, y]), ([-inf, y], [x, inf]),
-             ([x, y], [inf, inf])]
-    return replace(boxes(cells, Space(np.eye(3), scene.offset, np.full(3, 30.0))), dropped={
-        3: "it sees nothing"}, views=(np.arange(len(scene.views)),) * BLOCKS)
+    cells = [([-inf, -inf], [x, y]), ([x, -inf], [inf, y]), ([-inf, y], [x, inf]), ([x, y], [inf, inf])]
+    return replace(
+        boxes(cells, Space(np.eye(3), scene.offset, np.full(3, 30.0))),
+        dropped={3: "it sees nothing"},
+        views=(np.arange(len(scene.views)),) * BLOCKS,
+    )
 
 
 def strewn(count, degree=1, seed=0):
     """Gaussians all over the city and beyond, in its local frame."""
     rng = np.random.default_rng(seed)
-    rows = {field.name: rng.normal(size=(count, *field.row_shape(degree))).astype(np.float32)
-            for field in LEARNED}
+    rows = {field.name: rng.normal(size=(count, *field.row_shape(degree))).astype(np.float32) for field in LEARNED}
     rows["positions"] *= 40
     return Gaussians(rows, degree)
 
@@ -58,9 +59,17 @@ def trained_city(scene, tmp_path_factory):
     folder.write_partition(partition.record())
     initial = strewn(10)
     for number in range(BLOCKS):
-        block = folder.write_block(number, scene, partition.views[number][:4],
-                                   partition.regions[number], {}, initial, None, {},
-                                   folder.identity())
+        block = folder.write_block(
+            number,
+            scene,
+            partition.views[number][:4],
+            partition.regions[number],
+            {},
+            initial,
+            None,
+            {},
+            folder.identity(),
+        )
         finish(block, strewn(2000), scene.offset)
     folder.coarse.mkdir()
     write_ply(folder.coarse / "point_cloud.ply", strewn(600, seed=5), scene.offset)
@@ -74,13 +83,11 @@ def city(trained_city, tmp_path):
 
 def finish(block, gaussians, offset, start=None):
     block.run.mkdir(exist_ok=True)
-    write_ply(block.run / "point_cloud.ply", gaussians, offset,
-              start_comment(start or block.start()))
+    write_ply(block.run / "point_cloud.ply", gaussians, offset, start_comment(start or block.start()))
 
 
 def sorted_rows(gaussians):
-    table = np.concatenate([gaussians.rows[f.name].reshape(gaussians.count, -1)
-                            for f in LEARNED], axis=1)
+    table = np.concatenate([gaussians.rows[f.name].reshape(gaussians.count, -1) for f in LEARNED], axis=1)
     return table[np.lexsort(table.T)]
 
 
@@ -94,7 +101,7 @@ def test_every_gaussian_is_owned_once(city, scene):
     merged.check()
     partition, ends = quarters(scene), np.cumsum([share.gaussians for share in merged.shares])
     for region, end, share in zip(partition.regions, ends, merged.shares):
-        own = merged.gaussians.positions[end - share.gaussians:end] + scene.offset
+        own = merged.gaussians.positions[end - share.gaussians : end] + scene.offset
         assert region.owns(own).all()
     whole = read_ply(city.block(0).run / "point_cloud.ply", scene.offset)
     assert np.array_equal(sorted_rows(merged.gaussians), sorted_rows(whole))
@@ -111,9 +118,9 @@ def test_a_block_has_its_own_offset(city, scene):
     block = city.block(1)
     path = block.run / "point_cloud.ply"
     before = merge(city, scene).gaussians
-    write_ply(path, Gaussians(
-        {**strewn(2000).rows, "positions": strewn(2000).positions - np.float32(8)}, 1),
-        scene.offset + 8)
+    write_ply(
+        path, Gaussians({**strewn(2000).rows, "positions": strewn(2000).positions - np.float32(8)}, 1), scene.offset + 8
+    )
     after = merge(city, scene).gaussians
     assert after.count == before.count
     assert np.allclose(after.positions, before.positions, atol=1e-4)
@@ -129,7 +136,7 @@ def test_harmonics_are_brought_to_the_highest_degree(city, scene):
     plain = joined([strewn(2000)])
     assert (gaussians.sh_rest[:first, 3:] == 0).all()
     assert np.isin(gaussians.sh_rest[:first, :3], plain.sh_rest).all()
-    assert (gaussians.sh_rest[-shares[3].gaussians:] == 0).all()
+    assert (gaussians.sh_rest[-shares[3].gaussians :] == 0).all()
     assert (gaussians.sh_rest[-shares[3].gaussians - 1, 3:] != 0).any()
 
 
@@ -167,14 +174,18 @@ def test_a_block_that_lacks_is_named_and_can_be_filled(city, scene, fault):
     assert filled.shares[2].gaussians == inside.sum() > 50
     assert filled.gaussians.count == merged.gaussians.count + inside.sum()
     begin = sum(share.gaussians for share in filled.shares[:2])
-    assert np.allclose(filled.gaussians.positions[begin:begin + inside.sum()], coarse[inside],
-                       atol=1e-5)
+    assert np.allclose(filled.gaussians.positions[begin : begin + inside.sum()], coarse[inside], atol=1e-5)
 
 
-@pytest.mark.parametrize("fault, cause", [
-    ("damaged", "damaged or cut short"), ("city", "a block of another city"),
-    ("start", "is of another block, partition or city than"),
-    ("partition", "a block of another partition")])
+@pytest.mark.parametrize(
+    "fault, cause",
+    [
+        ("damaged", "damaged or cut short"),
+        ("city", "a block of another city"),
+        ("start", "is of another block, partition or city than"),
+        ("partition", "a block of another partition"),
+    ],
+)
 def test_a_block_that_must_not_be_merged_is_refused_even_when_filling(city, scene, fault, cause):
     broken(city, scene, fault)
     for fill in (False, True):
@@ -215,13 +226,12 @@ def test_a_city_of_another_scene_is_refused(city, scene):
 
 def test_the_merged_run_has_the_exposures_of_the_coarse_run(city, scene):
     """By which its held-out views are scored; a coarse run without any leaves none."""
-    whole = City(city, scene, resolve({}, {}), SimpleNamespace(
-        name="none", form="item", tuning={}))
+    whole = City(city, scene, resolve({}, {}), SimpleNamespace(name="none", form="item", tuning={}))
     merged_city(whole)
     assert read_exposures(city.path) is None
     known = {scene.views[1].name: Response(1.1 * np.eye(3, 4), np.array([-0.1, 0, 0.2, 1.5]))}
     write_exposures(city.coarse, known)
     merged_city(whole)
-    (name, found), = read_exposures(city.path).items()
+    ((name, found),) = read_exposures(city.path).items()
     assert name in known and np.array_equal(found.transform, known[name].transform)
     assert np.array_equal(found.vignetting, known[name].vignetting)

@@ -25,21 +25,24 @@ SEAM = 0.3  # dB, what issue 5 allows
 def boxes(cells, space=None, margin=0.1):
     """Partition of cells ((low x, low y), (high x, high y)), without end in height."""
     space = space or Space(np.eye(3), np.zeros(3), np.full(3, 10.0))
-    regions = [Region(space, np.array([*low, -np.inf]), np.array([*high, np.inf]), margin)
-               for low, high in cells]
+    regions = [Region(space, np.array([*low, -np.inf]), np.array([*high, np.inf]), margin) for low, high in cells]
     return Partition("citygs", tuple(regions), (np.arange(2),) * len(regions))
 
 
 INF = np.inf
-QUARTERS = [([-INF, -INF], [0, 0]), ([0, -INF], [INF, 0]), ([-INF, 0], [0, INF]),
-            ([0, 0], [INF, INF])]
+QUARTERS = [([-INF, -INF], [0, 0]), ([0, -INF], [INF, 0]), ([-INF, 0], [0, INF]), ([0, 0], [INF, INF])]
 # one cell beside two
 BISECTED = [([-INF, -INF], [-0.2, INF]), ([-0.2, -INF], [INF, 0.4]), ([-0.2, 0.4], [INF, INF])]
 
 
-@pytest.mark.parametrize("cells, pairs", [
-    (QUARTERS, {(0, 1), (2, 3), (0, 2), (1, 3)}), (BISECTED, {(0, 1), (0, 2), (1, 2)}),
-    ([([-INF, -INF], [INF, INF])], set())])
+@pytest.mark.parametrize(
+    "cells, pairs",
+    [
+        (QUARTERS, {(0, 1), (2, 3), (0, 2), (1, 3)}),
+        (BISECTED, {(0, 1), (0, 2), (1, 2)}),
+        ([([-INF, -INF], [INF, INF])], set()),
+    ],
+)
 def test_neighbours_share_a_face_and_each_pair_comes_once(cells, pairs):
     """Cells that only touch at an edge are no neighbours."""
     found = find_borders(boxes(cells))
@@ -76,16 +79,17 @@ def model(scene):
 def photos(scene, tmp_path_factory):
     """device -> the scene with photos that it took of the model: the model is the truth, but
     for the exposure."""
+
     @functools.cache
     def photographed(device, model):
-        folder, opened = tmp_path_factory.mktemp("photos"), (
-            *open_model(device, model, scene.near_plane), 0)
+        folder, opened = tmp_path_factory.mktemp("photos"), (*open_model(device, model, scene.near_plane), 0)
         views = []
         for view in scene.views:
             path = folder / f"{view.name}.png"
             write_image(path, 0.8 * render_view(*opened, view.camera))
             views.append(replace(view, source=path))
         return replace(scene, views=tuple(views))
+
     return photographed
 
 
@@ -109,10 +113,10 @@ def report(device, scene, model, spoil=lambda number, gaussians: gaussians):
     space = Space(np.eye(3), scene.offset, np.full(3, 30.0))
     partition = boxes(QUARTERS, space, margin=0.15)
     blocks = [spoil(number, noisy(reference, number, 0.02)) for number in range(4)]
-    pieces = [cropped(block, partition, number, scene.offset)
-              for number, block in enumerate(blocks)]
-    return find_seams(partition, scene, scene.views, *(
-        opened(device, each, scene, OPTIONS) for each in (joined(pieces), reference)))
+    pieces = [cropped(block, partition, number, scene.offset) for number, block in enumerate(blocks)]
+    return find_seams(
+        partition, scene, scene.views, *(opened(device, each, scene, OPTIONS) for each in (joined(pieces), reference))
+    )
 
 
 def test_blocks_that_agree_have_no_seam(item_device, photographed, model):
@@ -128,14 +132,14 @@ def test_blocks_that_agree_have_no_seam(item_device, photographed, model):
 
 def test_blocks_that_are_worse_everywhere_have_no_seam(item_device, photographed, model):
     """They lose to the reference, but not beside their borders."""
-    seams = report(item_device, photographed, model,
-                   lambda number, gaussians: noisy(gaussians, 5, 0.2))
+    seams = report(item_device, photographed, model, lambda number, gaussians: noisy(gaussians, 5, 0.2))
     lost = min(record["reference_psnr"] - record["psnr"] for record in seams["borders"])
     assert lost > 1.5 and abs(seams["seam_db"]) < lost / 4
 
 
 def test_a_block_that_is_worse_beside_its_borders_is_a_seam(item_device, photographed, model):
     """As blocks are whose margins no view has trained."""
+
     def spoil(number, gaussians):
         if number == 3:
             near = abs(gaussians.positions[:, :2]).min(axis=1) < 4
@@ -151,11 +155,16 @@ def test_a_block_that_is_worse_beside_its_borders_is_a_seam(item_device, photogr
 
 def test_a_border_is_the_mean_of_its_views_by_their_pixels():
     """errors: pixels, of the model, of the reference; in the strip and elsewhere."""
+
     def view(near, far, near_error, far_error):
         return [[near, near * near_error, near * 1e-3], [far, far * far_error, far * 1e-3]]
 
-    errors = [view(3000, 9000, 1e-2, 1e-3), view(1000, 5000, 1e-3, 1e-4),
-              view(LEAST_PIXELS - 1, 9000, 1.0, 1e-3), view(9000, LEAST_PIXELS - 1, 1.0, 1e-3)]
+    errors = [
+        view(3000, 9000, 1e-2, 1e-3),
+        view(1000, 5000, 1e-3, 1e-4),
+        view(LEAST_PIXELS - 1, 9000, 1.0, 1e-3),
+        view(9000, LEAST_PIXELS - 1, 1.0, 1e-3),
+    ]
     scores = _scores(errors)
     assert scores["pixels"] == 13_000 + LEAST_PIXELS - 1
     assert scores["psnr"] == pytest.approx((3 * 20 + 30) / 4)

@@ -18,8 +18,7 @@ LENGTH = 100.0  # of the strip
 def strip(count, sigma, seed=0, degree=1):
     """Gaussians, all of one sigma, along x from 0 to LENGTH and about 1 thick."""
     rng = np.random.default_rng([seed, count])
-    rows = {f.name: rng.normal(size=(count, *f.row_shape(degree))).astype(np.float32)
-            for f in LEARNED}
+    rows = {f.name: rng.normal(size=(count, *f.row_shape(degree))).astype(np.float32) for f in LEARNED}
     rows["positions"] = rng.uniform((0, 0, 0), (LENGTH, 1, 1), (count, 3)).astype(np.float32)
     rows["log_scales"] = np.full((count, 3), np.log(sigma), np.float32)
     return Gaussians(rows, degree)
@@ -33,16 +32,17 @@ def at(x, focal=100.0):
 
 def table(gaussians):
     """Rows float[N, numbers], in an order that depends on them only."""
-    rows = np.concatenate([gaussians.rows[f.name].reshape(gaussians.count, -1)
-                           for f in LEARNED], axis=1)
+    rows = np.concatenate([gaussians.rows[f.name].reshape(gaussians.count, -1) for f in LEARNED], axis=1)
     return rows[np.lexsort(rows.T)]
 
 
 def blocks(model):
     """The strip in three blocks along x."""
     number = (model.positions[:, 0] * 3 / LENGTH).astype(int)
-    return [Gaussians({name: rows[number == block] for name, rows in model.rows.items()},
-                      model.sh_degree) for block in range(3)]
+    return [
+        Gaussians({name: rows[number == block] for name, rows in model.rows.items()}, model.sh_degree)
+        for block in range(3)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -67,8 +67,7 @@ def children(tree, node):
 
 def leaves_below(tree, node):
     below = children(tree, node)
-    return [node] if not len(below) else [leaf for child in below
-                                          for leaf in leaves_below(tree, child)]
+    return [node] if not len(below) else [leaf for child in below for leaf in leaves_below(tree, child)]
 
 
 def test_the_leaves_are_the_model_and_the_others_a_quarter_of_what_they_replace(model, tree):
@@ -76,8 +75,7 @@ def test_the_leaves_are_the_model_and_the_others_a_quarter_of_what_they_replace(
     assert tree.count == COUNT and tree.offset.tolist() == [1e6, 2e6, 3.0]
     assert sorted(leaves_below(tree, len(tree.nodes) - 1)) == leaves.tolist()
     assert (tree.nodes["count"][leaves] <= CELL).all() and len(leaves) < 3 * COUNT / CELL
-    whole = Gaussians({name: np.concatenate([tree.read(leaf, name) for leaf in leaves])
-                       for name in ORDER}, 1)
+    whole = Gaussians({name: np.concatenate([tree.read(leaf, name) for leaf in leaves]) for name in ORDER}, 1)
     assert np.array_equal(table(whole), table(model))
     for number in np.flatnonzero(~tree.is_leaf):
         node, below = tree.nodes[number], tree.nodes[children(tree, number)]
@@ -108,21 +106,25 @@ def test_nodes_replace_all_leaves_that_are_seen_once(tree, x, focal):
         assert chosen.tolist() == [len(tree.nodes) - 1]
     else:
         assert len(chosen) > 1 and np.corrcoef(middle, sigma)[0, 1] > 0 or focal == 500.0
-    assert choose(tree, camera, 0.0, 0.1).tolist() == sorted(leaves_below(
-        tree, len(tree.nodes) - 1)) or x == 30.0
+    assert choose(tree, camera, 0.0, 0.1).tolist() == sorted(leaves_below(tree, len(tree.nodes) - 1)) or x == 30.0
 
 
 def test_rows_at_one_place_are_parted():
     parts = parted(np.zeros((9, 3)), np.arange(9), 2, 2)
-    assert sorted(map(len, parts)) == [2, 2, 2, 3] and sorted(np.concatenate(parts)) == list(
-        range(9))
+    assert sorted(map(len, parts)) == [2, 2, 2, 3] and sorted(np.concatenate(parts)) == list(range(9))
 
 
 def test_damaged_trees_are_refused(tree, tmp_path):
     whole, path = tree.path.read_bytes(), tmp_path / "damaged.tree"
-    place = HEADER.unpack(whole[:HEADER.size])[1]
-    for damaged in (b"", b"ply\n", whole[:-1], whole[1:], whole + b"\0",
-                    whole[:place + 90] + b"\xff" + whole[place + 91:]):
+    place = HEADER.unpack(whole[: HEADER.size])[1]
+    for damaged in (
+        b"",
+        b"ply\n",
+        whole[:-1],
+        whole[1:],
+        whole + b"\0",
+        whole[: place + 90] + b"\xff" + whole[place + 91 :],
+    ):
         path.write_bytes(damaged)
         refused(lambda: Tree(path), "damaged.tree: not a tree of gaussians")
     refused(lambda: Tree(tmp_path / "missing.tree"), "missing.tree")

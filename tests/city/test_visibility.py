@@ -29,8 +29,10 @@ def gaussians(scene):
 def images(device, gaussians, scene, index, keep):
     """A view's image of all gaussians, and of some."""
     some = Gaussians({name: rows[keep] for name, rows in gaussians.rows.items()}, 1)
-    return [render_view(*opened(device, model, scene, resolve({}, {})), scene.views[index].camera)
-            for model in (gaussians, some)]
+    return [
+        render_view(*opened(device, model, scene, resolve({}, {})), scene.views[index].camera)
+        for model in (gaussians, some)
+    ]
 
 
 @pytest.mark.parametrize("kept", [9, 4])
@@ -42,8 +44,10 @@ def test_changes_are_those_of_the_images(float_device, scene, gaussians, monkeyp
     keeps = [gaussians.positions[:, 0] <= x[-last] for last in (1, 10, 30, 300, 1500, 4000)]
     tests = [(index, keep) for index in (9, 17) for keep in keeps]
     found = list(drop_changes(float_device, gaussians, scene, tests))
-    exact = [1 - ssim(*(np.pad(image, ((5, 5), (5, 5), (0, 0))) for image in images(
-        float_device, gaussians, scene, *test))) for test in tests]
+    exact = [
+        1 - ssim(*(np.pad(image, ((5, 5), (5, 5), (0, 0))) for image in images(float_device, gaussians, scene, *test)))
+        for test in tests
+    ]
     assert found == pytest.approx(exact, rel=0.01, abs=1e-5)
     assert sum(0 < change < 0.1 for change in exact) >= 4 and max(exact) > 0.9
 

@@ -26,8 +26,12 @@ from tests.data.tiny_model import write_scene
 from tests.data.tiny_training import CITY
 
 # of a variable that is not set; "" must not be the current folder
-EMPTY_PATHS = [("train", "scene", "-o", ""), ("train", ""), ("compare", ""),
-               ("train", "scene", "-o", "run", "--config", "")]
+EMPTY_PATHS = [
+    ("train", "scene", "-o", ""),
+    ("train", ""),
+    ("compare", ""),
+    ("train", "scene", "-o", "run", "--config", ""),
+]
 
 
 def python(*arguments):
@@ -53,6 +57,7 @@ def raising(error):
     @click.option("--traceback", is_flag=True, expose_value=False)
     def fail():
         raise error
+
     group.add_section("Fail", fail)
     return group
 
@@ -66,8 +71,7 @@ def test_version_and_module_entry():
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_scripts(shell):
     """Those of click, as its documentation describes."""
-    result = CliRunner().invoke(main, prog_name="clsplat",
-                                env={"_CLSPLAT_COMPLETE": f"{shell}_source"})
+    result = CliRunner().invoke(main, prog_name="clsplat", env={"_CLSPLAT_COMPLETE": f"{shell}_source"})
     assert result.exit_code == 0 and f"_CLSPLAT_COMPLETE={shell}_complete" in result.output
 
 
@@ -89,18 +93,29 @@ def test_a_bug_shows_its_traceback_and_exit_1():
     assert "ZeroDivisionError: oh" in result.stderr and "bug in clsplat" in result.stderr
 
 
-@pytest.mark.parametrize("error, said", [
-    (Interrupted("stopped at 5; go on with --resume"), "stopped at 5; go on with --resume"),
-    (KeyboardInterrupt(), "interrupted: give the same command again")])
+@pytest.mark.parametrize(
+    "error, said",
+    [
+        (Interrupted("stopped at 5; go on with --resume"), "stopped at 5; go on with --resume"),
+        (KeyboardInterrupt(), "interrupted: give the same command again"),
+    ],
+)
 def test_interrupts_exit_130(error, said):
     result = CliRunner().invoke(raising(error), ["fail"])
     assert result.exit_code == 130 and result.stderr.strip() == said
 
 
-@pytest.mark.parametrize("arguments", [
-    ("train", "scene"), ("train", "scene", "-o", "run", "--nonsense"), ("nonsense",),
-    ("train", "scene", "-o", "run", "-n", "many"), ("train", "s", "-o", "r", "--poses", "steam"),
-    *EMPTY_PATHS])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("train", "scene"),
+        ("train", "scene", "-o", "run", "--nonsense"),
+        ("nonsense",),
+        ("train", "scene", "-o", "run", "-n", "many"),
+        ("train", "s", "-o", "r", "--poses", "steam"),
+        *EMPTY_PATHS,
+    ],
+)
 def test_wrong_usage_is_one_line_and_exit_2(arguments):
     result = clsplat_(*arguments)
     assert result.exit_code == 2
@@ -115,8 +130,25 @@ def trained(tmp_path_factory):
     """(what a training printed, its folder); not to be changed."""
     folder = tmp_path_factory.mktemp("trained")
     (folder / "run.toml").write_text("iterations = 50\nseed = 1\npreset = 'paper'\n")
-    result = clsplat_("train", CITY, "-o", folder / "run", "-q", "--config", folder / "run.toml",
-                      "--seed", 2, "-n", 2, "-r", 8, "--levels", 1, "--test-every", "none")
+    result = clsplat_(
+        "train",
+        CITY,
+        "-o",
+        folder / "run",
+        "-q",
+        "--config",
+        folder / "run.toml",
+        "--seed",
+        2,
+        "-n",
+        2,
+        "-r",
+        8,
+        "--levels",
+        1,
+        "--test-every",
+        "none",
+    )
     assert result.exit_code == 0, result.output
     return result.output, folder / "run"
 
@@ -128,10 +160,16 @@ def test_a_run_records_what_its_flags_its_file_and_a_choice_set(trained):
     assert trained[0] == "", "it is quiet"
 
 
-@pytest.mark.parametrize("arguments, named", [
-    (["--seed", "6"], "--seed"), (["--levels", "2", "--levels", "1"], "--levels"),
-    (["-n", "900"], "--iterations"), (["--overwrite"], "--overwrite"),
-    (["--up", "0", "0", "1"], "--up")])
+@pytest.mark.parametrize(
+    "arguments, named",
+    [
+        (["--seed", "6"], "--seed"),
+        (["--levels", "2", "--levels", "1"], "--levels"),
+        (["-n", "900"], "--iterations"),
+        (["--overwrite"], "--overwrite"),
+        (["--up", "0", "0", "1"], "--up"),
+    ],
+)
 def test_resume_refuses_another_run(trained, arguments, named):
     before = (trained[1] / "checkpoint.npz").read_bytes()
     result = clsplat_("train", CITY, "-o", trained[1], "--resume", *arguments)
@@ -139,8 +177,9 @@ def test_resume_refuses_another_run(trained, arguments, named):
     assert (trained[1] / "checkpoint.npz").read_bytes() == before
 
 
-@pytest.mark.parametrize("arguments", [
-    (CITY, "--sh-degree", 9), (CITY, "--schedules", "sig,constant", "--view"), ()], ids=str)
+@pytest.mark.parametrize(
+    "arguments", [(CITY, "--sh-degree", 9), (CITY, "--schedules", "sig,constant", "--view"), ()], ids=str
+)
 def test_what_cannot_be_trained_leaves_no_folder(tmp_path, arguments):
     result = clsplat_("train", *arguments, "-o", tmp_path / "run")
     assert result.exit_code == 2 and not (tmp_path / "run").exists()
@@ -182,23 +221,52 @@ def test_export_writes_a_whole_model_only(tmp_path):
 def test_eval_summary_labels_both():
     text = summary({"views": 3, "psnr": 20.123, "ssim": 0.5, "psnr_cc": 25.0, "ssim_cc": 0.75})
     rows = [line.split() for line in text.splitlines()]
-    assert rows == [["3", "held-out", "views"], ["PSNR", "SSIM"], ["plain", "20.12", "0.5000"],
-                    ["colour-corrected", "25.00", "0.7500"]]
-    text = summary({"views": 1, "psnr": 20, "ssim": 0.5, "flip": 0.25, "lpips": 0.5,
-                    "psnr_cc": 25, "ssim_cc": 0.75, "flip_cc": 0.125, "lpips_cc": 0.375})
+    assert rows == [
+        ["3", "held-out", "views"],
+        ["PSNR", "SSIM"],
+        ["plain", "20.12", "0.5000"],
+        ["colour-corrected", "25.00", "0.7500"],
+    ]
+    text = summary(
+        {
+            "views": 1,
+            "psnr": 20,
+            "ssim": 0.5,
+            "flip": 0.25,
+            "lpips": 0.5,
+            "psnr_cc": 25,
+            "ssim_cc": 0.75,
+            "flip_cc": 0.125,
+            "lpips_cc": 0.375,
+        }
+    )
     rows = [line.split() for line in text.splitlines()]
     assert rows[1] == ["PSNR", "SSIM", "FLIP", "LPIPS"]
     assert rows[3] == ["colour-corrected", "25.00", "0.7500", "0.1250", "0.3750"]
 
 
 def entry(index, works, **more):
-    able = {"compute_units": 2, "memory_bytes": 3 << 30, "largest_buffer_bytes": 1 << 30,
-            "local_bytes": 32 << 10, "opencl_c": "OpenCL C 1.2", "HAVE_DOUBLE": True,
-            "HAVE_NATIVE_EXP": False}
+    able = {
+        "compute_units": 2,
+        "memory_bytes": 3 << 30,
+        "largest_buffer_bytes": 1 << 30,
+        "local_bytes": 32 << 10,
+        "opencl_c": "OpenCL C 1.2",
+        "HAVE_DOUBLE": True,
+        "HAVE_NATIVE_EXP": False,
+    }
     return types.SimpleNamespace(
-        index=index, platform="Platform", name=f"name {index}", type="cpu", works=works,
-        reason="" if works else "does not build", cure="" if works else "reinstall it",
-        capabilities=able if works else {}, chosen=works, **more)
+        index=index,
+        platform="Platform",
+        name=f"name {index}",
+        type="cpu",
+        works=works,
+        reason="" if works else "does not build",
+        cure="" if works else "reinstall it",
+        capabilities=able if works else {},
+        chosen=works,
+        **more,
+    )
 
 
 def test_the_device_table_explains_devices_that_do_not_work():
@@ -213,10 +281,17 @@ def test_the_device_table_explains_devices_that_do_not_work():
 @pytest.mark.parametrize("passed, code", [(True, 0), (False, 2)])
 def test_devices_check_runs_on_each_that_works(monkeypatch, passed, code):
     opened = []
-    module(monkeypatch, "clsplat.device", choose_device=opened.append,
-           list_devices=lambda: [entry(0, True), entry(1, False), entry(2, True)])
-    module(monkeypatch, "clsplat.bench.selftest", check=lambda device: [
-        ("sort", True, "fine"), ("blend", passed or len(opened) == 2, "3e-7 off")])
+    module(
+        monkeypatch,
+        "clsplat.device",
+        choose_device=opened.append,
+        list_devices=lambda: [entry(0, True), entry(1, False), entry(2, True)],
+    )
+    module(
+        monkeypatch,
+        "clsplat.bench.selftest",
+        check=lambda device: [("sort", True, "fine"), ("blend", passed or len(opened) == 2, "3e-7 off")],
+    )
     result = clsplat_("devices", "--check")
     assert (opened, result.exit_code) == (["0", "2"], code)
     assert ("FAILED  blend: 3e-7 off" in result.output) is not passed
@@ -225,24 +300,42 @@ def test_devices_check_runs_on_each_that_works(monkeypatch, passed, code):
 
 def test_a_report_tells_of_drivers_and_nothing_of_the_user(monkeypatch, item_device):
     def handle(extensions):
-        return types.SimpleNamespace(driver_version=" 9.9 ", version="OpenCL 3.0",
-                                     max_work_group_size=4096, address_bits=64,
-                                     extensions=extensions)
+        return types.SimpleNamespace(
+            driver_version=" 9.9 ",
+            version="OpenCL 3.0",
+            max_work_group_size=4096,
+            address_bits=64,
+            extensions=extensions,
+        )
 
     def opened(handle):
         if handle.extensions:
             return item_device
         raise RuntimeError(f"no {Path.home()}/cache")
 
-    module(monkeypatch, "clsplat.device", Device=opened, list_devices=lambda: [
-        entry(0, True, handle=handle("cl_b cl_a")), entry(1, False),
-        entry(2, True, handle=handle(""))])
+    module(
+        monkeypatch,
+        "clsplat.device",
+        Device=opened,
+        list_devices=lambda: [
+            entry(0, True, handle=handle("cl_b cl_a")),
+            entry(1, False),
+            entry(2, True, handle=handle("")),
+        ],
+    )
     result = clsplat_("devices", "--report")
     assert result.exit_code == 0 and result.output.startswith(f"clsplat {clsplat.__version__}, ")
     lines = [line.strip() for line in result.output.splitlines()]
-    for line in ("0, name 0 (Platform)", "driver: 9.9", "extensions: cl_a cl_b", "form: item",
-                 "work-items of a group, at most: 4,096", "wave: 32", "2, name 2 (Platform)",
-                 "cannot be opened: RuntimeError: no ~/cache"):
+    for line in (
+        "0, name 0 (Platform)",
+        "driver: 9.9",
+        "extensions: cl_a cl_b",
+        "form: item",
+        "work-items of a group, at most: 4,096",
+        "wave: 32",
+        "2, name 2 (Platform)",
+        "cannot be opened: RuntimeError: no ~/cache",
+    ):
         assert line in lines
     assert "1, name 1" not in result.output and str(Path.home()) not in result.output
 

@@ -40,9 +40,16 @@ def test_an_interrupt_that_a_library_made_an_error_of_is_no_bug(number, code, re
     assert signal.getsignal(number) is before
 
 
-@pytest.mark.parametrize("name, shown, page", [
-    ("run", "run", "run.html"), ("my run", "'my run'", "'my run.html'"),
-    ("v1.2", "v1.2", "v1.2.html"), ("out/", "out", "out.html"), ("a;b", "'a;b'", "'a;b.html'")])
+@pytest.mark.parametrize(
+    "name, shown, page",
+    [
+        ("run", "run", "run.html"),
+        ("my run", "'my run'", "'my run.html'"),
+        ("v1.2", "v1.2", "v1.2.html"),
+        ("out/", "out", "out.html"),
+        ("a;b", "'a;b'", "'a;b.html'"),
+    ],
+)
 def test_a_training_ends_with_what_can_be_done(name, shown, page, tmp_path, monkeypatch):
     """Trial of f3a1525: it named neither the report nor a page."""
     monkeypatch.chdir(tmp_path)
@@ -62,14 +69,16 @@ def test_a_training_ends_with_what_can_be_done(name, shown, page, tmp_path, monk
 @pytest.mark.parametrize("name", ["verdict", "say"])
 def test_a_second_ctrl_c_while_the_first_one_is_told(name):
     result = python(
-        "-c", "import signal, sys\nimport clsplat.__main__ as entry\n"
+        "-c",
+        "import signal, sys\nimport clsplat.__main__ as entry\n"
         "import clsplat.cli.main as cli\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "interrupt = lambda *_: signal.raise_signal(signal.SIGINT)\n"
         "cli.devices.invoke = interrupt\n"
         f"tell = cli.{name}\n"
         f"cli.{name} = lambda *words: (interrupt(), tell(*words))[1]\n"
-        "sys.argv = ['clsplat', 'devices']\nentry.run()")
+        "sys.argv = ['clsplat', 'devices']\nentry.run()",
+    )
     assert result.returncode == 130 and "Traceback" not in result.stderr
     told = result.stderr.strip()  # click begins a new line after ^C
     assert told == "interrupted: give the same command again"
@@ -77,33 +86,50 @@ def test_a_second_ctrl_c_while_the_first_one_is_told(name):
 
 def test_ctrl_c_while_the_program_starts():
     """Before the command line is there: no traceback, and the same exit code."""
-    result = python("-c", "import signal, sys\nimport clsplat.__main__ as entry\n"
-                    "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-                    "class Kill:\n"
-                    "    def find_spec(self, name, path=None, target=None):\n"
-                    "        if name == 'clsplat.cli': signal.raise_signal(signal.SIGINT)\n"
-                    "sys.meta_path.insert(0, Kill())\nentry.run()")
+    result = python(
+        "-c",
+        "import signal, sys\nimport clsplat.__main__ as entry\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "class Kill:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'clsplat.cli': signal.raise_signal(signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Kill())\nentry.run()",
+    )
     assert (result.returncode, result.stderr) == (130, "interrupted: give the same command again\n")
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="only Linux has a full device")
 def test_output_that_cannot_be_written_is_told():
     with open("/dev/full", "w") as full:
-        done = subprocess.run([sys.executable, "-m", "clsplat", "train", "--help"], stdout=full,
-                              stderr=subprocess.PIPE, text=True, check=False)
-    line, = done.stderr.splitlines()
+        done = subprocess.run(
+            [sys.executable, "-m", "clsplat", "train", "--help"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    (line,) = done.stderr.splitlines()
     assert done.returncode == 2 and line.startswith("error: the output: No space left on device")
 
 
 def test_a_reader_who_leaves_is_no_error():
-    done = subprocess.run(["sh", "-c", f'"{sys.executable}" -m clsplat train --help 2>&1 | '
-                           "true; echo done"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["sh", "-c", f'"{sys.executable}" -m clsplat train --help 2>&1 | true; echo done'],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert "Traceback" not in done.stdout + done.stderr and "done" in done.stdout
 
 
-@pytest.mark.parametrize("error, said, code", [
-    (OSError(28, "No space left on device", "/data/a.ply"), "/data/a.ply: No space left", 2),
-    (MemoryError(), "enough memory left", 2), (BrokenPipeError(32, "Broken pipe"), "", 141)])
+@pytest.mark.parametrize(
+    "error, said, code",
+    [
+        (OSError(28, "No space left on device", "/data/a.ply"), "/data/a.ply: No space left", 2),
+        (MemoryError(), "enough memory left", 2),
+        (BrokenPipeError(32, "Broken pipe"), "", 141),
+    ],
+)
 def test_what_the_machine_lacks_is_no_bug(error, said, code):
     result = CliRunner().invoke(raising(error), ["fail"])
     assert result.exit_code == code and said in result.stderr and "bug" not in result.stderr

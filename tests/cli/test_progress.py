@@ -61,14 +61,12 @@ def test_a_terminal_gets_one_line_that_fits(columns, monkeypatch):
     assert training and not any("?" in line for line in lines)
     assert "left" not in training[0] and "it/s" not in training[0]  # nothing is known yet
     if columns == 80:
-        assert training[-1].strip() == ("training at 1/3 size, 150/300000, 1:40:37 left, "
-                                        "[--------------------]")
+        assert training[-1].strip() == ("training at 1/3 size, 150/300000, 1:40:37 left, [--------------------]")
     if columns == 200:
         assert "1,229,336 gaussians, 9,216 MiB" in training[-1]
 
 
-@pytest.mark.parametrize("seconds, text", [(0.4, "0s"), (59, "59s"), (65, "1:05"),
-                                           (3722, "1:02:02"), (-1, "0s")])
+@pytest.mark.parametrize("seconds, text", [(0.4, "0s"), (59, "59s"), (65, "1:05"), (3722, "1:02:02"), (-1, "0s")])
 def test_time_left_is_short(seconds, text):
     assert clock(seconds) == text
 
@@ -102,17 +100,32 @@ def test_what_the_seconds_were_spent_for(monkeypatch):
     now = [10.0]
     monkeypatch.setattr("clsplat.training.progress.time.perf_counter", lambda: now[0])
     progress = Progress(file=io.StringIO(), began=8.5)
-    for seconds, phase in ((0, "planning"), (1, "finding dense points: photo 1 of 2"),
-                           (2, "finding dense points: photo 2 of 2"), (1, "training at 1/2 size"),
-                           (4, "evaluating"), (1, "training at full size"), (2, "of no kind"),
-                           (1, "writing the checkpoint"), (0.25, "writing the report")):
+    for seconds, phase in (
+        (0, "planning"),
+        (1, "finding dense points: photo 1 of 2"),
+        (2, "finding dense points: photo 2 of 2"),
+        (1, "training at 1/2 size"),
+        (4, "evaluating"),
+        (1, "training at full size"),
+        (2, "of no kind"),
+        (1, "writing the checkpoint"),
+        (0.25, "writing the report"),
+    ):
         now[0] += seconds
         progress.phase(phase)
     now[0] += 0.02
     spent = progress.spent()
-    assert list(spent.items()) == [("imports", 1.5), ("plan", 1), ("dense points", 3), ("steps", 7),
-                                   ("evaluation", 1), ("files", 0.25), ("report", 0.02)]
-    assert time_line(spent) == ("time:    13.8 s: imports 1.5, plan 1.0, dense points 3.0, "
-                                "steps 7.0, evaluation 1.0, files 0.2")
+    assert list(spent.items()) == [
+        ("imports", 1.5),
+        ("plan", 1),
+        ("dense points", 3),
+        ("steps", 7),
+        ("evaluation", 1),
+        ("files", 0.25),
+        ("report", 0.02),
+    ]
+    assert time_line(spent) == (
+        "time:    13.8 s: imports 1.5, plan 1.0, dense points 3.0, steps 7.0, evaluation 1.0, files 0.2"
+    )
     assert time_line(spent, 1.25).startswith("time:    13.8 s: imports 0.2, poses 1.2, plan 1.0")
     assert progress.spent() == spent  # no second is counted twice

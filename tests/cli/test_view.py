@@ -20,8 +20,12 @@ class Started:
 
     def __init__(self, *arguments):
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "clsplat", *map(str, arguments)], stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE, text=True, preexec_fn=listen)
+            [sys.executable, "-m", "clsplat", *map(str, arguments)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=listen,
+        )
 
     def __enter__(self):
         watchdog = threading.Timer(300, self.process.kill)

@@ -21,8 +21,15 @@ from tests.data.tiny_training import LEVELLED, model_digest, options_of, resume,
 from tests.test_options import FIELDS, another, serving
 
 AFFECTS = {name: field.metadata["affects"] for name, field in FIELDS.items()}
-TINY = {**LEVELLED, "iterations": 12, "levels": (2.0, 1.0), "level_share": 0.4,
-        "densify_from": 2, "densify_every": 2, "reproject": "off"}
+TINY = {
+    **LEVELLED,
+    "iterations": 12,
+    "levels": (2.0, 1.0),
+    "level_share": 0.4,
+    "densify_from": 2,
+    "densify_every": 2,
+    "reproject": "off",
+}
 CHANGES = {"checkpoint_every": 4, "device": "cpu", "eval_every": 4, "stop_at": 5}
 
 
@@ -59,15 +66,19 @@ def test_all_who_ask_whether_a_run_is_the_same_agree(name, tmp_path, monkeypatch
         patch.setattr(RunFolder, "is_finished", True)
         assert refuses(block_module.train_block, block) == (differs and name != "init")  # it moves
     city = SimpleNamespace(
-        has_record=True, path=tmp_path, coarse=run.path, make=lambda: None, write=lambda _: None,
-        read=lambda options: {"fingerprint": "f", "options": record})
+        has_record=True,
+        path=tmp_path,
+        coarse=run.path,
+        make=lambda: None,
+        write=lambda _: None,
+        read=lambda options: {"fingerprint": "f", "options": record},
+    )
     monkeypatch.setattr(cities, "scene_record", lambda *_: {})
     monkeypatch.setattr(cities, "fingerprint", lambda _: "f")
     whole = cities.City(city, SimpleNamespace(path=str(tmp_path)), other, None)
     assert refuses(whole.begin) == differs
     # a comparison: of models, over seeds; what `form` became is a fact of its own
-    two = [Trained(str(number), plain(options), [], True)
-           for number, options in enumerate((here, other))]
+    two = [Trained(str(number), plain(options), [], True) for number, options in enumerate((here, other))]
     compared = AFFECTS[name] == "model" and name not in ("seed", "form")
     assert (name in differing(two)) == compared
 

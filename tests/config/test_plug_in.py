@@ -11,8 +11,23 @@ from tests.data.tiny_training import CITY, ROOT
 
 RECORD = "open('imported', 'a').write(__name__)\n"  # what a module does that records its import
 BASE = "from clsplat import Plan, Schedule\nclass S(Schedule):\n"
-TINY = ("train", CITY, "-n", "4", "-r", "8", "-o", "run", "-q", "--test-every", "none",
-        "--exposure", "off", "--init", "sfm")
+TINY = (
+    "train",
+    CITY,
+    "-n",
+    "4",
+    "-r",
+    "8",
+    "-o",
+    "run",
+    "-q",
+    "--test-every",
+    "none",
+    "--exposure",
+    "off",
+    "--init",
+    "sfm",
+)
 
 
 @pytest.fixture
@@ -29,9 +44,17 @@ def package(tmp_path):
         (info / "entry_points.txt").write_text(f"[{group}]\n{entries}\n")
 
         def run(*words):
-            return subprocess.run([sys.executable, "-m", "clsplat", *map(str, words)], text=True,
-                                  env=environment, cwd=tmp_path, capture_output=True, check=False)
+            return subprocess.run(
+                [sys.executable, "-m", "clsplat", *map(str, words)],
+                text=True,
+                env=environment,
+                cwd=tmp_path,
+                capture_output=True,
+                check=False,
+            )
+
         return run
+
     return install
 
 
@@ -39,8 +62,7 @@ def package(tmp_path):
 def test_a_schedule_in_one_file(package, tmp_path):
     clsplat = package((ROOT / "docs/examples/halves.py").read_text(), "halves = module:Halves")
     (tmp_path / "every.toml").write_text("densify-every = 5\n")
-    done = clsplat("train", CITY, "--schedule", "halves", "-n", "40", "-r", "8",
-                   "--config", "every.toml", "-o", "run")
+    done = clsplat("train", CITY, "--schedule", "halves", "-n", "40", "-r", "8", "--config", "every.toml", "-o", "run")
     assert done.returncode == 0, done.stderr
     options = json.loads((tmp_path / "run" / "options.json").read_text())
     assert (options["schedule"], options["opacity_rate"]) == ("halves", 0.05)
@@ -53,8 +75,22 @@ def test_a_schedule_in_one_file(package, tmp_path):
     whole = " ".join(clsplat("train", "--schedule", "halves", "--help-all").stdout.split())
     assert "--half-share FLOAT Share of the run at half size" in whole
     (tmp_path / "run.toml").write_text('schedule = "halves"\nhalf-share = 0.75\nsh-degree = 1\n')
-    done = clsplat("train", CITY, "--config", "run.toml", "-n", "8", "-r", "8", "--half-share",
-                   "0.25", "--eval-every", "1", "-o", "other")
+    done = clsplat(
+        "train",
+        CITY,
+        "--config",
+        "run.toml",
+        "-n",
+        "8",
+        "-r",
+        "8",
+        "--half-share",
+        "0.25",
+        "--eval-every",
+        "1",
+        "-o",
+        "other",
+    )
     assert done.returncode == 0, done.stderr
     records = [json.loads(line) for line in (tmp_path / "other/metrics.jsonl").open()]
     assert {r["level"] for r in records if r["event"] == "eval"} == {1.0, 2.0}
@@ -68,12 +104,19 @@ def test_a_schedule_in_one_file(package, tmp_path):
     assert gone.returncode == 2 and "one of sig, constant, dash, taming, mcmc" in gone.stderr
 
 
-@pytest.mark.parametrize("words, code", [
-    (("--help",), 0), (("train", "--help"), 0), (("devices",), 0), (("--version",), 0),
-    pytest.param(TINY, 0, marks=pytest.mark.slow),
-    (("train", "nothing", "--schedule", "sig", "-o", "run"), 2),
-    (("plan", "nothing", "--schedule", "unknown"), 2),
-    (("train", "nothing", "--levels", "2,1", "--schedule", "mcmc", "-o", "run"), 2)])
+@pytest.mark.parametrize(
+    "words, code",
+    [
+        (("--help",), 0),
+        (("train", "--help"), 0),
+        (("devices",), 0),
+        (("--version",), 0),
+        pytest.param(TINY, 0, marks=pytest.mark.slow),
+        (("train", "nothing", "--schedule", "sig", "-o", "run"), 2),
+        (("plan", "nothing", "--schedule", "unknown"), 2),
+        (("train", "nothing", "--levels", "2,1", "--schedule", "mcmc", "-o", "run"), 2),
+    ],
+)
 @pytest.mark.one_in(7)
 def test_no_command_imports_a_schedule_that_it_does_not_name(package, tmp_path, words, code):
     clsplat = package(RECORD + "import sys\nsys.exit(0)\n", "x = module:S\nsig = module:S")
@@ -87,8 +130,9 @@ FAILS = {  # what a module says -> what the one line says
     "raise RuntimeError('no\\nsuch thing')\n": "does not load (RuntimeError: no such thing)",
     "S = 3\n": "is not a subclass of clsplat.Schedule",
     "from dataclasses import dataclass\nfrom clsplat import option\n@dataclass(frozen=True)\n"
-    "class O:\n    seed: int = option(0, 'Run', 'mine')\n" + BASE + "    Options = O\n":
-        "names seed, which clsplat has",
+    "class O:\n    seed: int = option(0, 'Run', 'mine')\n"
+    + BASE
+    + "    Options = O\n": "names seed, which clsplat has",
     BASE + "    defaults = {'nonsense': 1}\n": "unknown option 'nonsense'",
 }
 
@@ -127,12 +171,12 @@ def test_what_fails_in_a_part_of_others_is_one_line_that_names_it(package, tmp_p
 @pytest.mark.slow
 def test_a_part_in_one_file(package, tmp_path):
     """Its own flag, its records and its state; nothing imports it unless it is named."""
-    clsplat = package(RECORD + (ROOT / "docs/examples/learned_scale.py").read_text(),
-                      "cauchy = module:CauchyLoss", "clsplat.parts")
+    clsplat = package(
+        RECORD + (ROOT / "docs/examples/learned_scale.py").read_text(), "cauchy = module:CauchyLoss", "clsplat.parts"
+    )
     assert clsplat(*TINY).returncode == 0 and not (tmp_path / "imported").exists()
     (tmp_path / "parts.toml").write_text("add-parts = ['cauchy']")
-    done = clsplat(*TINY, "--overwrite", "--config", "parts.toml", "--cauchy-weight", "0.3",
-                   "--stop-at", "2")
+    done = clsplat(*TINY, "--overwrite", "--config", "parts.toml", "--cauchy-weight", "0.3", "--stop-at", "2")
     assert done.returncode == 130, done.stderr
     done = clsplat("train", "--resume", "-o", "run", "-q")
     assert done.returncode == 0, done.stderr

@@ -12,8 +12,9 @@ def cameras(count, seed=0):
     rng = np.random.default_rng(seed)
     for _ in range(count):
         position = rng.uniform((0, 0, 1), (100, 100, 30))
-        yield Camera.looking_at(position + rng.normal(size=3), position, width=64, height=40,
-                                degrees=rng.uniform(20, 100))
+        yield Camera.looking_at(
+            position + rng.normal(size=3), position, width=64, height=40, degrees=rng.uniform(20, 100)
+        )
 
 
 def strewn(count, seed=0):
@@ -26,8 +27,7 @@ def shown(positions, camera, near, beside=0.0):
     return (depths > near) & camera.contains(pixels, beside)
 
 
-@pytest.mark.parametrize("count",
-                         [0, 1, 2, CLUSTER, CLUSTER + 1, 40 * CLUSTER + 7])
+@pytest.mark.parametrize("count", [0, 1, 2, CLUSTER, CLUSTER + 1, 40 * CLUSTER + 7])
 def test_no_view_misses_a_point(count):
     positions = strewn(count)
     clusters = Clusters(positions)

@@ -65,7 +65,7 @@ def test_photos_that_agree_and_wrong_observations(scene):
 def test_where_nothing_is_known(scene):
     photos = photos_of(scene, 0.02)
     few = scene.observations[scene.observations[:, 1] < 2]
-    for observations in (None, few, few[:0], scene.observations[:9 * len(photos)]):
+    for observations in (None, few, few[:0], scene.observations[: 9 * len(photos)]):
         assert np.isnan(found(scene, photos, observations=observations))
     masked = [np.concatenate([photo, np.zeros((1, SIDE, SIDE), np.uint8)]) for photo in photos]
     assert np.isnan(found(scene, masked))
@@ -75,15 +75,13 @@ def test_where_nothing_is_known(scene):
 def read(monkeypatch):
     """The names of the photos that were read; there are none."""
     names = []
-    monkeypatch.setattr(photos, "decoded", lambda views: [
-        names.append(view.name) or view.name for view in views])
+    monkeypatch.setattr(photos, "decoded", lambda views: [names.append(view.name) or view.name for view in views])
     return names
 
 
 def test_photos_are_sampled_in_runs_that_show_the_same_places(monkeypatch, read):
     chosen = []
-    monkeypatch.setattr(module, "colour_disagreement",
-                        lambda scene, views, photos: chosen.extend(views) or 0.01)
+    monkeypatch.setattr(module, "colour_disagreement", lambda scene, views, photos: chosen.extend(views) or 0.01)
     many = circle(*range(100), names=[f"{number:03d}" for number in range(100)])
     assert module._disagreement(many, Thumbnails(many.views)) == 0.01
     numbers = np.array([int(view.name) for view in chosen])

@@ -14,14 +14,14 @@ WIDTH, HEIGHT, DEPTH = 64, 48, 5.0
 
 
 def a_view(name=""):
-    return View(name, Camera(WIDTH, HEIGHT, (60.0, 60.0), (WIDTH / 2, HEIGHT / 2), np.eye(3),
-                             np.zeros(3)), b"")
+    return View(name, Camera(WIDTH, HEIGHT, (60.0, 60.0), (WIDTH / 2, HEIGHT / 2), np.eye(3), np.zeros(3)), b"")
 
 
 def at_pixels(column, line, depth):
     """World points that the view sees in the middle of pixels."""
-    return np.column_stack([(column + 0.5 - WIDTH / 2) / 60 * depth,
-                            (line + 0.5 - HEIGHT / 2) / 60 * depth, np.full(len(column), depth)])
+    return np.column_stack(
+        [(column + 0.5 - WIDTH / 2) / 60 * depth, (line + 0.5 - HEIGHT / 2) / 60 * depth, np.full(len(column), depth)]
+    )
 
 
 def a_wall(count, seed=0):
@@ -43,8 +43,7 @@ def some_gains(count=30, spread=0.1):
 
 
 def measured(gains, points, colours, photo):
-    return exposure_drift([a_view()] * len(gains), (brightened(photo, g) for g in gains), points,
-                          colours)
+    return exposure_drift([a_view()] * len(gains), (brightened(photo, g) for g in gains), points, colours)
 
 
 def test_gains_are_measured():
@@ -69,13 +68,21 @@ def test_hidden_points_do_not_count(monkeypatch):
 
 def test_points_outside_behind_or_not_finite_do_not_count():
     points, colours, photo = a_wall(500)
-    strange = np.concatenate([
-        points * [-1, -1, -1], np.full((500, 3), np.nan), points * [1, 1, 0],
-        *(points + np.array(beside) * [WIDTH, HEIGHT, 0] / 60 * DEPTH  # next to the image
-          for beside in ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0)))])
+    strange = np.concatenate(
+        [
+            points * [-1, -1, -1],
+            np.full((500, 3), np.nan),
+            points * [1, 1, 0],
+            *(
+                points + np.array(beside) * [WIDTH, HEIGHT, 0] / 60 * DEPTH  # next to the image
+                for beside in ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0))
+            ),
+        ]
+    )
     gains = some_gains()
-    assert measured(gains, np.concatenate([points, strange]), np.resize(colours, (4000, 3)),
-                    photo) == measured(gains, points, colours, photo)
+    assert measured(gains, np.concatenate([points, strange]), np.resize(colours, (4000, 3)), photo) == measured(
+        gains, points, colours, photo
+    )
 
 
 def test_the_scatter_of_few_points_is_not_drift():
@@ -91,5 +98,4 @@ def test_the_sample_city_has_no_drift_until_its_photos_are_changed(city):
     assert exposure_drift(views, photos, city.points, city.colours) < DRIFTS / 4
     gains = some_gains(len(views))
     changed = map(brightened, photos, gains)
-    assert exposure_drift(views, changed, city.points, city.colours) \
-        == pytest.approx(np.log(gains).std(), rel=0.1)
+    assert exposure_drift(views, changed, city.points, city.colours) == pytest.approx(np.log(gains).std(), rel=0.1)

@@ -20,8 +20,7 @@ def circle(*degrees, points=40, names=None):
         views.append(View(names[number] if names else f"{number:02d}", camera, b""))
     cloud = np.random.default_rng(0).normal(0, 0.01, (points, 3))
     seen = np.stack(np.divmod(np.arange(points * len(views)), len(views)), axis=1)
-    return Scene("circle", tuple(views), cloud, np.zeros((points, 3), np.uint8),
-                 observations=seen.astype(np.int32))
+    return Scene("circle", tuple(views), cloud, np.zeros((points, 3), np.uint8), observations=seen.astype(np.int32))
 
 
 def chosen(scene, *arguments):
@@ -33,8 +32,14 @@ def test_an_angle_of_ten_degrees_is_best(tracks):
     scene = circle(0, 2, 10, 19, 45, 81)
     if not tracks:
         scene = replace(scene, observations=None)
-    assert chosen(scene, 9) == [[2, 3, 4, 1], [2, 3, 4, 0], [0, 3, 1, 4], [2, 1, 0, 4],
-                                  [3, 2, 5, 1, 0], [4]]  # more than 60 degrees do not count
+    assert chosen(scene, 9) == [
+        [2, 3, 4, 1],
+        [2, 3, 4, 0],
+        [0, 3, 1, 4],
+        [2, 1, 0, 4],
+        [3, 2, 5, 1, 0],
+        [4],
+    ]  # more than 60 degrees do not count
     assert chosen(scene)[0] == [2, 3, 4]
     assert chosen(scene, 1)[4] == [3]
 
@@ -67,8 +72,10 @@ def test_projected_points_lie_in_front_of_the_camera_and_in_the_image():
     scene = replace(circle(0, 10, 20), observations=None)
     camera = scene.views[1].camera
     back = np.diag([-1, 1, -1])
-    for turned in (replace(camera, rotation=back @ camera.rotation,
-                           translation=back @ camera.translation),
-                   replace(camera, centre=(-1.0, 24.0)), replace(camera, centre=(32.0, 49.0))):
+    for turned in (
+        replace(camera, rotation=back @ camera.rotation, translation=back @ camera.translation),
+        replace(camera, centre=(-1.0, 24.0)),
+        replace(camera, centre=(32.0, 49.0)),
+    ):
         views = (scene.views[0], replace(scene.views[1], camera=turned), scene.views[2])
         assert [s.tolist() for s in choose_source_views(scene, views)] == [[2], [], [0]]

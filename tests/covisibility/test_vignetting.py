@@ -16,9 +16,14 @@ SHADES = RNG.uniform(60, 160, 3000)
 
 def views(count=12):
     """Cameras that move along a wall; each shows the points elsewhere in its photo."""
-    return [View(f"{i}", Camera(*SIZE, (80, 80), (48, 32), np.eye(3),
-                                np.array([0.25 * (i - count / 2), 0.1 * (i % 5 - 2), 0])), b"")
-            for i in range(count)]
+    return [
+        View(
+            f"{i}",
+            Camera(*SIZE, (80, 80), (48, 32), np.eye(3), np.array([0.25 * (i - count / 2), 0.1 * (i % 5 - 2), 0])),
+            b"",
+        )
+        for i in range(count)
+    ]
 
 
 def photos(gains, factors):
@@ -47,5 +52,5 @@ def test_brighter_corners_are_below_zero():
 
 def test_what_no_two_photos_show_tells_nothing():
     assert corner_darkening([], [], POINTS) == 0
-    first, = photos([1.0], [-0.3, 0, 0])
+    (first,) = photos([1.0], [-0.3, 0, 0])
     assert corner_darkening(views(1), [first], POINTS) == 0

@@ -23,9 +23,8 @@ def field(seed=0, points=3000, cameras=60, tracks=True):
     ground = np.clip(rng.normal(0, 0.55, (points, 2)), -1, 1.1) * SIDES
     height = np.abs(rng.normal(0, 0.8, points))
     cloud = np.column_stack([ground, height])
-    cloud[:points // 300] *= 40
-    views = [View(f"{number:04d}", _camera(rng, tilt=0.7 * (number % 2)), b"")
-             for number in range(cameras)]
+    cloud[: points // 300] *= 40
+    views = [View(f"{number:04d}", _camera(rng, tilt=0.7 * (number % 2)), b"") for number in range(cameras)]
     seen = np.array([v.sees(cloud) for v in views])
     seen &= rng.random(seen.shape) < 0.5
     observations = np.argwhere(seen.T).astype(np.int32) if tracks else None
@@ -51,10 +50,9 @@ def moved(scene, rotation, scale, shift):
     def turned(view):
         camera = view.camera
         turn = camera.rotation @ rotation.T
-        return replace(view, camera=replace(
-            camera, rotation=turn, translation=-turn @ place(camera.position)))
-    return replace(scene, points=place(scene.points), unit=unit, offset=offset,
-                   views=tuple(map(turned, scene.views)))
+        return replace(view, camera=replace(camera, rotation=turn, translation=-turn @ place(camera.position)))
+
+    return replace(scene, points=place(scene.points), unit=unit, offset=offset, views=tuple(map(turned, scene.views)))
 
 
 def shuffled(scene, order):
@@ -64,8 +62,7 @@ def shuffled(scene, order):
     if rows is not None:
         rows = np.column_stack([place[rows[:, 0]], rows[:, 1]]).astype(np.int32)
         rows = rows[np.lexsort(rows.T[::-1])]
-    return replace(scene, points=scene.points[order], colours=scene.colours[order],
-                   observations=rows)
+    return replace(scene, points=scene.points[order], colours=scene.colours[order], observations=rows)
 
 
 def world(scene):
@@ -80,5 +77,6 @@ def cut(scene, method, grid=(3, 2), gaussians=None, views=None, drop=None, **cha
     if gaussians is None:
         _, seen, _ = visibility(scene, [scene.views[index] for index in views])
         gaussians = SimpleNamespace(positions=scene.points[np.unique(seen)])
-    return make_partition(scene, PartitionOptions(method=method, grid=grid, **{**LAX, **changes}),
-                          gaussians, views, drop)
+    return make_partition(
+        scene, PartitionOptions(method=method, grid=grid, **{**LAX, **changes}), gaussians, views, drop
+    )

@@ -16,8 +16,9 @@ def rays(seed=0, count=50, wide=0.6):
 def colmap(optics, points):
     """Pixels by the camera model that a reader chose."""
     model, parameters = optics.model or ("PINHOLE", (*optics.focal, *optics.centre))
-    return pycolmap.Camera(model=model, width=optics.size[0], height=optics.size[1],
-                           params=list(parameters)).img_from_cam(points)
+    return pycolmap.Camera(
+        model=model, width=optics.size[0], height=optics.size[1], params=list(parameters)
+    ).img_from_cam(points)
 
 
 def fisheye(points):
@@ -41,8 +42,7 @@ def opensfm(points, camera):
     """https://opensfm.org/docs/geometry.html, in pixels from the outer corner of the first: half a
     pixel more than those of OpenCV, which that page converts to."""
     size, kind = (camera["width"], camera["height"]), camera["projection_type"]
-    x, y = (fisheye(points) if "fisheye" in kind else
-            (points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]))
+    x, y = fisheye(points) if "fisheye" in kind else (points[:, 0] / points[:, 2], points[:, 1] / points[:, 2])
     r2 = x**2 + y**2
     radial = 1 + sum(camera.get(f"k{n}", 0.0) * r2**n for n in range(1, 5))
     p1, p2 = camera.get("p1", 0.0), camera.get("p2", 0.0)

@@ -23,15 +23,18 @@ def model():
     positions = np.concatenate([ground, roof])
     colours = np.where(positions[:, 2:] > 0, ROOF_BLUE, GROUND_RED)
     count = len(positions)
-    return Gaussians({
-        "positions": positions.astype(np.float32),
-        "sh_constant": ((colours - 0.5) / SH_C0).astype(np.float32),
-        "sh_rest": np.zeros((count, 0, 3), np.float32),
-        "opacity_logits": np.full(count, 3, np.float32),
-        "log_scales": np.log(np.tile([0.8 * SPACING, 0.8 * SPACING, 0.01], (count, 1))
-                             ).astype(np.float32),
-        "quaternions": np.tile([1, 0, 0, 0], (count, 1)).astype(np.float32),
-    }, 0, OFFSET)
+    return Gaussians(
+        {
+            "positions": positions.astype(np.float32),
+            "sh_constant": ((colours - 0.5) / SH_C0).astype(np.float32),
+            "sh_rest": np.zeros((count, 0, 3), np.float32),
+            "opacity_logits": np.full(count, 3, np.float32),
+            "log_scales": np.log(np.tile([0.8 * SPACING, 0.8 * SPACING, 0.01], (count, 1))).astype(np.float32),
+            "quaternions": np.tile([1, 0, 0, 0], (count, 1)).astype(np.float32),
+        },
+        0,
+        OFFSET,
+    )
 
 
 def scene(georeference=UTM, up=(0, 0, 1), width=200):
@@ -39,9 +42,15 @@ def scene(georeference=UTM, up=(0, 0, 1), width=200):
     views = []
     for number, (x, y) in enumerate(np.ndindex(3, 3)):
         position = np.array([6.0 * (x - 1), 6.0 * (y - 1), 20.0])
-        camera = Camera.looking_at(position - (0, 0, 1), position, up=(0, 1, 0), width=width,
-                                   height=width, degrees=60)
+        camera = Camera.looking_at(position - (0, 0, 1), position, up=(0, 1, 0), width=width, height=width, degrees=60)
         views.append(View(f"photo_{number}.jpg", camera, b""))
     points = model().positions.astype(np.float64)
-    return Scene("made", tuple(views), points, np.zeros((len(points), 3), np.uint8), OFFSET,
-                 georeference=georeference, given_up=np.asarray(up, float))
+    return Scene(
+        "made",
+        tuple(views),
+        points,
+        np.zeros((len(points), 3), np.uint8),
+        OFFSET,
+        georeference=georeference,
+        given_up=np.asarray(up, float),
+    )

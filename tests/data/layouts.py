@@ -34,8 +34,14 @@ def pose(scene, view):
 
 
 def intrinsics(camera):
-    return {"w": camera.width, "h": camera.height, "fl_x": camera.focal[0],
-            "fl_y": camera.focal[1], "cx": camera.centre[0], "cy": camera.centre[1]}
+    return {
+        "w": camera.width,
+        "h": camera.height,
+        "fl_x": camera.focal[0],
+        "fl_y": camera.focal[1],
+        "cx": camera.centre[0],
+        "cy": camera.centre[1],
+    }
 
 
 def put_photo(view, path):
@@ -64,10 +70,18 @@ def write_transforms(folder, scene, photos="images"):
     for view in scene.views:
         put_photo(view, folder / photos / view.name)
     write_ply(folder / "sparse_pc.ply", world_points(scene), scene.colours)
-    table = {"camera_model": "OPENCV", **intrinsics(scene.views[0].camera), "k1": 0.0, "p2": 0,
-             "aabb_scale": 16, "ply_file_path": "sparse_pc.ply",
-             "frames": [{"file_path": f"{photos}/{view.name}",
-                         "transform_matrix": pose(scene, view).tolist()} for view in scene.views]}
+    table = {
+        "camera_model": "OPENCV",
+        **intrinsics(scene.views[0].camera),
+        "k1": 0.0,
+        "p2": 0,
+        "aabb_scale": 16,
+        "ply_file_path": "sparse_pc.ply",
+        "frames": [
+            {"file_path": f"{photos}/{view.name}", "transform_matrix": pose(scene, view).tolist()}
+            for view in scene.views
+        ],
+    }
     write_json(folder / "transforms.json", table)
     return table
 
@@ -86,10 +100,13 @@ def write_splits(folder, scene, held_out):
         for view in scene.views:
             if (view.name in held_out) == (part == "test"):
                 put_photo(view, folder / "aerial" / part / block / view.name)
-                frames.append({"file_path": f"../../{part}/{block}/{view.name}",
-                               "transform_matrix": pose(scene, view).tolist()})
-        write_json(split / f"transforms_{part}.json", {
-            **camera_angle(scene), **intrinsics(scene.views[0].camera), "frames": frames})
+                frames.append(
+                    {"file_path": f"../../{part}/{block}/{view.name}", "transform_matrix": pose(scene, view).tolist()}
+                )
+        write_json(
+            split / f"transforms_{part}.json",
+            {**camera_angle(scene), **intrinsics(scene.views[0].camera), "frames": frames},
+        )
     write_ply(split / "points3D.ply", world_points(scene), scene.colours)
     return split
 
@@ -100,8 +117,7 @@ def write_mega_nerf(folder, scene, held_out, save, scale=50.0, dtype=np.float64)
     poses = {view.name: pose(scene, view)[:3] for view in scene.views}
     origin = DRB @ np.mean([matrix[:, 3] for matrix in poses.values()], axis=0)
     folder.mkdir(parents=True, exist_ok=True)
-    save({"origin_drb": origin.astype(dtype), "pose_scale_factor": scale},
-         folder / "coordinates.pt")
+    save({"origin_drb": origin.astype(dtype), "pose_scale_factor": scale}, folder / "coordinates.pt")
     for number, view in enumerate(scene.views):
         part, camera = "val" if view.name in held_out else "train", view.camera
         matrix = DRB @ poses[view.name]
@@ -109,9 +125,16 @@ def write_mega_nerf(folder, scene, held_out, save, scale=50.0, dtype=np.float64)
         put_photo(view, folder / part / "rgbs" / f"{number:06d}{view.source.suffix}")
         metadata = folder / part / "metadata" / f"{number:06d}.pt"
         metadata.parent.mkdir(parents=True, exist_ok=True)
-        save({"H": camera.height, "W": camera.width, "c2w": matrix.astype(dtype),
-              "intrinsics": np.array([*camera.focal, *camera.centre], dtype),
-              "distortion": np.array([0.01, 0, 0, 0], dtype)}, metadata)
+        save(
+            {
+                "H": camera.height,
+                "W": camera.width,
+                "c2w": matrix.astype(dtype),
+                "intrinsics": np.array([*camera.focal, *camera.centre], dtype),
+                "distortion": np.array([0.01, 0, 0, 0], dtype),
+            },
+            metadata,
+        )
 
 
 def write_model(folder, scene, views, points):
@@ -122,8 +145,13 @@ def write_model(folder, scene, views, points):
     seen = seen[np.isin(seen[:, 0], points) & np.isin(seen[:, 1], list(place))]
     view = np.array([place[number] for number in seen[:, 1]])
     moved = [replace(view, camera=view.camera.shifted(-scene.offset)) for view in views]
-    write_colmap(folder, moved, world_points(scene)[points], scene.colours[points],
-                 np.column_stack([np.searchsorted(points, seen[:, 0]), view]))
+    write_colmap(
+        folder,
+        moved,
+        world_points(scene)[points],
+        scene.colours[points],
+        np.column_stack([np.searchsorted(points, seen[:, 0]), view]),
+    )
 
 
 def write_citygs(folder, scene, held_out, photos="images"):
@@ -143,11 +171,9 @@ def assert_same_cameras(read, scene, name_of=str):
         found, wanted = views[name_of(view.name)], view.camera
         own = found.camera
         assert (own.width, own.height) == (wanted.width, wanted.height)
-        np.testing.assert_allclose((*own.focal, *own.centre), (*wanted.focal, *wanted.centre),
-                                   atol=1e-9)
+        np.testing.assert_allclose((*own.focal, *own.centre), (*wanted.focal, *wanted.centre), atol=1e-9)
         np.testing.assert_allclose(own.rotation, wanted.rotation, atol=1e-9)
-        np.testing.assert_allclose(own.position + read.offset, wanted.position + scene.offset,
-                                   rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(own.position + read.offset, wanted.position + scene.offset, rtol=1e-9, atol=1e-9)
         assert (found.lens is None) == (view.lens is None)
         if view.lens is not None:
             assert (found.lens.size, found.lens.model) == (view.lens.size, view.lens.model)

@@ -38,8 +38,13 @@ def write_lens_city(folder, with_depth):
     random = np.random.default_rng(0)
     for number, view in enumerate(scene.views):
         pixels, (x, y) = read_photo(view), _pinhole_pixels(lens, view.camera)
-        photo = np.stack([map_coordinates(plane, (y - 0.5, x - 0.5), order=1, mode="nearest")
-                          for plane in pixels.transpose(2, 0, 1)], axis=2)
+        photo = np.stack(
+            [
+                map_coordinates(plane, (y - 0.5, x - 0.5), order=1, mode="nearest")
+                for plane in pixels.transpose(2, 0, 1)
+            ],
+            axis=2,
+        )
         if number % MASKED_EVERY == 0:
             valid = np.ones(photo.shape, bool)
             valid[30:70, 40:100] = False

@@ -29,9 +29,17 @@ def write_surface(path, heights, crs=CRS, pixel=PIXEL, left=LEFT, top=TOP, **opt
     heights = np.asarray(heights)
     heights = heights[None] if heights.ndim == 2 else heights
     options = {"dtype": "float32", "nodata": np.nan, **options}
-    with rasterio.open(path, "w", driver="GTiff", count=len(heights), height=heights.shape[1],
-                       width=heights.shape[2], crs=crs, transform=rasterio.Affine(
-                           pixel, 0, left, 0, -pixel, top), **options) as file:
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        count=len(heights),
+        height=heights.shape[1],
+        width=heights.shape[2],
+        crs=crs,
+        transform=rasterio.Affine(pixel, 0, left, 0, -pixel, top),
+        **options,
+    ) as file:
         file.write(heights.astype(options["dtype"]))
     return path
 
@@ -48,8 +56,11 @@ def square(half, middle=MIDDLE):
 
 
 def feature(kind, coordinates, name=None):
-    return {"type": "Feature", "properties": {} if name is None else {"name": name},
-            "geometry": {"type": kind, "coordinates": coordinates}}
+    return {
+        "type": "Feature",
+        "properties": {} if name is None else {"name": name},
+        "geometry": {"type": kind, "coordinates": coordinates},
+    }
 
 
 def write_features(path, *features, **members):

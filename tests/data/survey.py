@@ -33,10 +33,12 @@ class Survey:
         for view, name in zip(scene.views, self.names):
             camera = view.camera
             rotation = camera.rotation @ turn.T
-            views.append(replace(view, name=name, camera=replace(
-                camera, rotation=rotation, translation=factor * camera.translation)))
-        write_colmap(folder / "sparse" / "0", views, factor * scene.points @ turn.T, scene.colours,
-                     scene.observations)
+            views.append(
+                replace(
+                    view, name=name, camera=replace(camera, rotation=rotation, translation=factor * camera.translation)
+                )
+            )
+        write_colmap(folder / "sparse" / "0", views, factor * scene.points @ turn.T, scene.colours, scene.observations)
         self.scene, self.points = scene, ORIGIN + SCALE * scene.points
         self.centres = ORIGIN + SCALE * np.array([v.camera.position for v in scene.views])
 
@@ -48,8 +50,10 @@ class Survey:
         """name -> PhotoMetadata with GPS, whose errors have this standard deviation, metres."""
         positions = self.centres + np.random.default_rng(0).normal(0, noise, self.centres.shape)
         places = pycolmap.GPSTransform().utm_to_ellipsoid(positions, 14, True)
-        return {name: PhotoMetadata(64, 48, latitude=place[0], longitude=place[1], altitude=height)
-                for name, place, height in zip(self.names, places, positions[:, 2])}
+        return {
+            name: PhotoMetadata(64, 48, latitude=place[0], longitude=place[1], altitude=height)
+            for name, place, height in zip(self.names, places, positions[:, 2])
+        }
 
     def marks(self, point):
         """(photo, x, y) where a point by its index appears in photos."""

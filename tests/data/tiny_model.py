@@ -36,6 +36,5 @@ def write_scene(folder, made=None, text=False, model="sparse/0"):
     (folder / "images").mkdir(exist_ok=True)
     for image in made.images.values():
         camera = made.cameras[image.camera_id]
-        write_image(folder / "images" / image.name,
-                    np.full((camera.height, camera.width, 3), 90, np.uint8))
+        write_image(folder / "images" / image.name, np.full((camera.height, camera.width, 3), 90, np.uint8))
     return folder

@@ -1,5 +1,4 @@
-"""Short trainings on the sample city in which everything happens: growth, resets, degrees, levels.
-"""
+"""Short trainings on the sample city in which everything happens: growth, resets, degrees, levels."""
 
 import hashlib
 import json
@@ -17,17 +16,38 @@ ROOT = Path(__file__).resolve().parents[2]
 CITY = ROOT / "data_samples" / "city"
 
 # everything that happens in a real run, within 150 steps of 40 x 30 pixels
-EVENTFUL = {"schedule": "constant", "iterations": 150, "downscale": 8.0, "densify_from": 20,
-            "densify_every": 20,
-            "densify_until": 120, "reset_every": 50, "grow_threshold": 5e-4, "sh_every": 30,
-            "prune_opacity": 0.009, "checkpoint_every": 0, "eval_every": 0}
+EVENTFUL = {
+    "schedule": "constant",
+    "iterations": 150,
+    "downscale": 8.0,
+    "densify_from": 20,
+    "densify_every": 20,
+    "densify_until": 120,
+    "reset_every": 50,
+    "grow_threshold": 5e-4,
+    "sh_every": 30,
+    "prune_opacity": 0.009,
+    "checkpoint_every": 0,
+    "eval_every": 0,
+}
 # the same of the whole method: within 120 steps of 40 x 30 and then 80 x 60 pixels, a level that
 # converges, growth in rounds at both, spheres, exposures and adjacent photos
-LEVELLED = {"schedule": "sig", "levels": (2.0, 1.0), "iterations": 120, "downscale": 4.0,
-            "rounds": 2, "densify_every": 8, "reset_every": 0, "exposure": "on",
-            "reproject": "on", "level_share": 0.7, "convergence_rate": 0.02,
-            "pixels_per_gaussian": 0.0, "sphere_reach": 3.0,
-            "eval_every": 0}
+LEVELLED = {
+    "schedule": "sig",
+    "levels": (2.0, 1.0),
+    "iterations": 120,
+    "downscale": 4.0,
+    "rounds": 2,
+    "densify_every": 8,
+    "reset_every": 0,
+    "exposure": "on",
+    "reproject": "on",
+    "level_share": 0.7,
+    "convergence_rate": 0.02,
+    "pixels_per_gaussian": 0.0,
+    "sphere_reach": 3.0,
+    "eval_every": 0,
+}
 # what a test of something else needs: no growth, few steps
 STILL = {"densify_from": 1000, "reset_every": 0}
 

@@ -15,11 +15,17 @@ def view_pair(size, other_size=None, seed=0, turn=(0.02, -0.05, 0.03), move=(0.3
 
     turn: rotation vector from the first camera to the other; move: translation of it, world units.
     """
-    first = {**cases.camera(*size), "translation": np.array([5.0, -2, 7]),
-             "rotation": Rotation.from_rotvec([0.3, 0.5, -0.2]).as_matrix()}
+    first = {
+        **cases.camera(*size),
+        "translation": np.array([5.0, -2, 7]),
+        "rotation": Rotation.from_rotvec([0.3, 0.5, -0.2]).as_matrix(),
+    }
     relative, move = Rotation.from_rotvec(turn).as_matrix(), np.array(move, float)
-    other = {**cases.camera(*(other_size or size)), "rotation": relative @ first["rotation"],
-             "translation": relative @ first["translation"] + move}
+    other = {
+        **cases.camera(*(other_size or size)),
+        "rotation": relative @ first["rotation"],
+        "translation": relative @ first["translation"] + move,
+    }
     depth = DISTANCE / np.tensordot(NORMAL, _rays(first), 1)
     rays = _rays(other)
     z = (DISTANCE + NORMAL @ relative.T @ move) / np.tensordot(NORMAL @ relative.T, rays, 1)
@@ -28,9 +34,8 @@ def view_pair(size, other_size=None, seed=0, turn=(0.02, -0.05, 0.03), move=(0.3
 
 
 def _rays(camera):
-    line, column = np.mgrid[:camera["height"], :camera["width"]] + 0.5
-    return np.stack([(column - camera["cx"]) / camera["fx"], (line - camera["cy"]) / camera["fy"],
-                     np.ones(line.shape)])
+    line, column = np.mgrid[: camera["height"], : camera["width"]] + 0.5
+    return np.stack([(column - camera["cx"]) / camera["fx"], (line - camera["cy"]) / camera["fy"], np.ones(line.shape)])
 
 
 def _texture(points, seed):

@@ -23,18 +23,27 @@ def rows_of(scales, opacities, seed=0):
         "positions": rng.normal(size=(count, 3)).astype(np.float32),
         "log_scales": np.log(np.outer(scales, [0.3, 1, 0.1])).astype(np.float32),
         "quaternions": rng.normal(size=(count, 4)).astype(np.float32) * 3,
-        "opacity_logits": np.log(opacities / (1 - opacities)).astype(np.float32)}
+        "opacity_logits": np.log(opacities / (1 - opacities)).astype(np.float32),
+    }
 
 
 def round_of(rows, prunes_large=False, seed=0, **changes):
     """A round of growth after the step of the number of a seed."""
-    return Round(seed, rows, EXTENT, TrainOptions(**changes), prunes_large,
-                 np.zeros(len(rows["positions"]), bool), None, None, None)
+    return Round(
+        seed,
+        rows,
+        EXTENT,
+        TrainOptions(**changes),
+        prunes_large,
+        np.zeros(len(rows["positions"]), bool),
+        None,
+        None,
+        None,
+    )
 
 
 def growth_of(rows, moving, prunes_large=False, seed=0, **changes):
-    return round_of(rows, prunes_large, seed, prune_size=0.1, **changes).densify(
-        np.array(moving, bool))
+    return round_of(rows, prunes_large, seed, prune_size=0.1, **changes).densify(np.array(moving, bool))
 
 
 def grown(kinds, prunes_large=False, seed=0):
@@ -49,14 +58,14 @@ def applied(growth, rows):
     after = {name: values[growth.source] for name, values in rows.items()}
     for name, (first, values) in growth.changes.items():
         assert values.dtype == np.float32
-        after[name][first:first + len(values)] = values
+        after[name][first : first + len(values)] = values
     return after
 
 
 def parts(growth):
     """The old rows of what stays, of clones and of children."""
     first = growth.kept + growth.cloned
-    return growth.source[:growth.kept], growth.source[growth.kept:first], growth.source[first:]
+    return growth.source[: growth.kept], growth.source[growth.kept : first], growth.source[first:]
 
 
 KINDS = [  # name, (scale, opacity, gradient), how often it is there afterwards
@@ -93,11 +102,12 @@ def test_rows_come_in_order_and_are_counted():
     assert growth.source.dtype == np.uint32
     assert (growth.kept, growth.cloned, growth.split, growth.pruned) == (4, 1, 2, 3)
     assert {name: (first, len(values)) for name, (first, values) in growth.changes.items()} == {
-        "positions": (5, 4), "log_scales": (5, 4)}
+        "positions": (5, 4),
+        "log_scales": (5, 4),
+    }
 
 
-@pytest.mark.parametrize("name, value", [
-    ("opacity_logits", np.nan), ("log_scales", np.nan), ("log_scales", np.inf)])
+@pytest.mark.parametrize("name, value", [("opacity_logits", np.nan), ("log_scales", np.nan), ("log_scales", np.inf)])
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
 def test_what_is_no_number_is_pruned_with_its_children(name, value):
     rows = rows_of([LARGE, SMALL] * 2, [SOLID] * 4)
@@ -111,8 +121,7 @@ def test_what_is_spared_stays_and_what_is_not_chosen_does_not_grow():
     """The masks decide, not the round's own pruning (Taming 3DGS spares half)."""
     rows = rows_of([SMALL] * 4, [FAINT, FAINT, SOLID, SOLID])
     assert round_of(rows).prunes.tolist() == [True, True, False, False]
-    growth = plan_growth(round_of(rows), np.array([0, 0, 0, 1], bool),
-                         np.array([1, 0, 1, 0], bool))
+    growth = plan_growth(round_of(rows), np.array([0, 0, 0, 1], bool), np.array([1, 0, 1, 0], bool))
     assert growth.source.tolist() == [1, 3, 3]
 
 
@@ -153,8 +162,11 @@ def with_spheres(rows, distances, max_offset=1.0, axis=0):
     anchors = rows["positions"].copy()
     anchors[:, axis] -= np.float32(distances)
     count = len(anchors)
-    return {**rows, "anchors": anchors,
-            "max_offsets": np.float32(max_offset) * (1 + np.arange(count, dtype=np.float32) / 1024)}
+    return {
+        **rows,
+        "anchors": anchors,
+        "max_offsets": np.float32(max_offset) * (1 + np.arange(count, dtype=np.float32) / 1024),
+    }
 
 
 def test_the_strayed_are_pruned_whatever_else_they_do():
@@ -182,24 +194,20 @@ def test_a_clone_is_anchored_where_it_stands_and_inherits_its_reach():
 def test_spheres_of_children_follow_the_rule(rule, shrink):
     """And those of the clones before them in the same round stay right."""
     rows = with_spheres(rows_of([SMALL, LARGE, LARGE, SMALL], [SOLID] * 4), [0.5] * 4)
-    growth = growth_of(rows, [MOVING, MOVING, STILL, STILL], sphere_rule=rule,
-                       sphere_shrink=shrink)
+    growth = growth_of(rows, [MOVING, MOVING, STILL, STILL], sphere_rule=rule, sphere_shrink=shrink)
     assert growth.source.tolist() == [0, 2, 3, 0, 1, 1]
     after = applied(growth, rows)
     own = after["positions"][4:]
-    assert np.array_equal(after["anchors"][4:], own if rule == "release"
-                          else rows["anchors"][[1, 1]])
+    assert np.array_equal(after["anchors"][4:], own if rule == "release" else rows["anchors"][[1, 1]])
     assert np.allclose(after["max_offsets"][4:], shrink * rows["max_offsets"][1], rtol=1e-6)
-    assert np.array_equal(after["anchors"][:4], [*rows["anchors"][[0, 2, 3]],
-                                                 rows["positions"][0]])
+    assert np.array_equal(after["anchors"][:4], [*rows["anchors"][[0, 2, 3]], rows["positions"][0]])
     assert np.array_equal(after["max_offsets"][:4], rows["max_offsets"][[0, 2, 3, 0]])
 
 
 def test_a_child_outside_the_shrunken_sphere_is_dropped_at_once():
     """Of both children, of one or of none; the others do not move."""
     count, reach, shrink = 300, 2.0, 0.7
-    rows = with_spheres(rows_of([LARGE] * count, [SOLID] * count),
-                        np.linspace(0, 1.9, count), max_offset=1.0)
+    rows = with_spheres(rows_of([LARGE] * count, [SOLID] * count), np.linspace(0, 1.9, count), max_offset=1.0)
     settings = dict(sphere_reach=reach, sphere_shrink=shrink)
     free = {name: rows[name] for name in rows if name not in ("anchors", "max_offsets")}
     places = growth_of(free, [MOVING] * count).changes["positions"][1]

@@ -13,8 +13,9 @@ LEAST = 0.005
 def by_sums(opacity, number):
     """The shared opacity and the factor of size, by the double sum of Kheradmand et al., eq. 9."""
     each = 1 - (1 - opacity) ** (1 / number)
-    total = sum(comb(i - 1, k) * (-1)**k * each**(k + 1) / sqrt(k + 1)
-                for i in range(1, number + 1) for k in range(i))
+    total = sum(
+        comb(i - 1, k) * (-1) ** k * each ** (k + 1) / sqrt(k + 1) for i in range(1, number + 1) for k in range(i)
+    )
     return each, opacity / total
 
 
@@ -43,8 +44,8 @@ def test_shares_keep_what_a_line_across_sees():
     x = np.linspace(-12, 12, 20001)
     for opacity, number in ((0.3, 2), (0.95, 7), (0.6, 500)):
         each, shrink = (values[0] for values in shared(np.array([opacity]), np.array([number])))
-        one = opacity * np.exp(-x**2 / 2)
-        many = 1 - (1 - each * np.exp(-(x / shrink)**2 / 2))**number
+        one = opacity * np.exp(-(x**2) / 2)
+        many = 1 - (1 - each * np.exp(-((x / shrink) ** 2) / 2)) ** number
         assert many.sum() == pytest.approx(one.sum(), rel=1e-6)
         assert many.max() == pytest.approx(opacity)
 
@@ -53,18 +54,18 @@ def test_the_dead_become_copies_of_live_ones():
     growth, opacities, scales = relocated([0.8, 0.003, 0.4, 0.004, 0.6], dead=(1, 3))
     assert len(growth.source) == 5 and (growth.cloned, growth.pruned, growth.split) == (2, 2, 0)
     assert not {1, 3} & set(growth.source.tolist())
-    assert growth.source[:growth.kept].tolist() == sorted(
-        set(growth.source[:growth.kept].tolist()))
+    assert growth.source[: growth.kept].tolist() == sorted(set(growth.source[: growth.kept].tolist()))
     before = np.array([0.8, 0.003, 0.4, 0.004, 0.6])
     rows, times = np.unique(growth.source, return_counts=True)
     for row, number in zip(rows, times):
         each, shrink = by_sums(before[row], int(number))
         own = growth.source == row
         assert opacities[own] == pytest.approx(each, rel=1e-5)
-        assert scales[own] == pytest.approx(np.tile(
-            np.arange(3 * row, 3 * row + 3) / 10 + np.log(shrink), (number, 1)), abs=1e-5)
+        assert scales[own] == pytest.approx(
+            np.tile(np.arange(3 * row, 3 * row + 3) / 10 + np.log(shrink), (number, 1)), abs=1e-5
+        )
         # the moments of all that share begin anew
-        assert (own[:growth.kept].sum() == 1) == (number == 1)
+        assert (own[: growth.kept].sum() == 1) == (number == 1)
 
 
 def test_copies_are_drawn_in_proportion_to_opacity():
@@ -77,16 +78,14 @@ def test_copies_are_drawn_in_proportion_to_opacity():
 
 
 def test_what_is_fixed_stays_and_is_not_copied():
-    growth, opacities, scales = relocated([0.9, 0.001, 0.5, 0.001], dead=(1, 3), frozen=(0, 1),
-                                          added=3)
+    growth, opacities, scales = relocated([0.9, 0.001, 0.5, 0.001], dead=(1, 3), frozen=(0, 1), added=3)
     assert (growth.cloned, growth.pruned) == (4, 1)
     assert growth.source.tolist() == [0, 1, 2, 2, 2, 2, 2] and growth.kept == 2
     assert opacities[:2] == pytest.approx([0.9, 0.001], rel=1e-5)
     assert np.array_equal(scales[:2], np.arange(6).reshape(2, 3).astype(np.float32) / 10)
 
 
-@pytest.mark.parametrize("dead, frozen, added", [
-    ((), (), 0), ((0, 1, 2), (), 5), ((0,), (1, 2), 5)])
+@pytest.mark.parametrize("dead, frozen, added", [((), (), 0), ((0, 1, 2), (), 5), ((0,), (1, 2), 5)])
 def test_nothing_to_do_or_nobody_to_copy(dead, frozen, added):
     growth, opacities, _ = relocated([0.5, 0.5, 0.5], dead, frozen, added)
     assert growth.source.tolist() == [0, 1, 2] and growth.kept == 3 and not growth.changes

@@ -27,8 +27,7 @@ def scored(device, name, gradient, photos, rows=None):
     """Scores over one camera's view with each photo, and the downloaded (visible, image)."""
     case = cases.gaussians(name)
     renderer, rows, frame = render(device, case, rows)
-    views = [SimpleNamespace(camera=frame.camera, photo=device.upload(photo))
-             for photo in photos]
+    views = [SimpleNamespace(camera=frame.camera, photo=device.upload(photo)) for photo in photos]
     scores = taming_scores(renderer, rows, views, case["degree"], SSIM_WEIGHT, gradient)
     return scores, frame.visible.download(), frame.image.download()
 
@@ -41,7 +40,7 @@ def expected_scores(name, gradient, photo, image):
     order = depth_order(splats)
     difference = np.abs(image - photo / 255).mean(0)
     grey = 0.299 * photo[0] + 0.587 * photo[1] + 0.114 * photo[2]
-    edges = np.sqrt(sobel(grey, 0)**2 + sobel(grey, 1)**2)
+    edges = np.sqrt(sobel(grey, 0) ** 2 + sobel(grey, 1) ** 2)
     weights = sum(50 * (m - m.min()) / (m.max() - m.min()) for m in (difference, edges))
     assert weights.shape == (height, width)
     pixels, weight, weighted, distance = contribution(splats, order, weights).T
@@ -49,9 +48,16 @@ def expected_scores(name, gradient, photo, image):
     conics = np.moveaxis(np.array([[a, b], [b, c]]), 2, 0)
     smallest = np.array([np.linalg.eigvalsh(k).min() if k.any() else np.inf for k in conics])
     terms = (
-        (25, gradient), (100, 1 / (1 + np.exp(-rows["opacity_logits"]))), (5, splats["depths"]),
-        (10, 3 / np.sqrt(smallest)), (25, np.exp(rows["log_scales"]).prod(1)), (50, distance),
-        (10, weighted), (0.1, pixels), (50, weight))
+        (25, gradient),
+        (100, 1 / (1 + np.exp(-rows["opacity_logits"]))),
+        (5, splats["depths"]),
+        (10, 3 / np.sqrt(smallest)),
+        (25, np.exp(rows["log_scales"]).prod(1)),
+        (50, distance),
+        (10, weighted),
+        (0.1, pixels),
+        (50, weight),
+    )
     loss, *_ = image_loss(image, photo / 255, SSIM_WEIGHT)
     seen, total = splats["visible"], np.zeros(len(gradient))
     for coefficient, values in terms:

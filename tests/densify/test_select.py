@@ -19,8 +19,7 @@ def options_of(threshold):
 def a_round(gradient, threshold=1.0, scores=None, small=None, prunes=None, rng=None):
     nothing = np.zeros(len(gradient), bool)
     rows = {"log_scales": np.zeros((len(gradient), 3)), "opacity_logits": np.zeros(len(gradient))}
-    made = Round(1, rows, 1.0, options_of(threshold), False, nothing, lambda: gradient,
-                 lambda _: scores, None)
+    made = Round(1, rows, 1.0, options_of(threshold), False, nothing, lambda: gradient, lambda _: scores, None)
     made.rng, made.is_small = rng, small
     made.prunes = nothing if prunes is None else prunes
     return made
@@ -35,8 +34,7 @@ def highest(gradient, room):
 
 
 def by_score(scores, gradient, threshold, small, room, rng):
-    return a_round(gradient, threshold, scores, small, rng=rng).by_score(
-        room, np.zeros(len(gradient), bool))
+    return a_round(gradient, threshold, scores, small, rng=rng).by_score(room, np.zeros(len(gradient), bool))
 
 
 def half_of(prunes, scores, rng):
@@ -48,17 +46,18 @@ def chosen(mask):
     return list(np.flatnonzero(mask))
 
 
-@pytest.mark.parametrize("room, expected", [
-    (None, [0, 2, 3, 6]), (9, [0, 2, 3, 6]), (4, [0, 2, 3, 6]), (3, [0, 2, 3]), (1, [0]), (0, []),
-    (-2, [])])
+@pytest.mark.parametrize(
+    "room, expected",
+    [(None, [0, 2, 3, 6]), (9, [0, 2, 3, 6]), (4, [0, 2, 3, 6]), (3, [0, 2, 3]), (1, [0]), (0, []), (-2, [])],
+)
 def test_above_the_threshold(room, expected):
     """The threshold itself counts; the highest are chosen, among equals the first."""
     assert chosen(above_threshold(GRADIENT, 2.0, room)) == expected
 
 
-@pytest.mark.parametrize("count, expected", [
-    (-1, []), (0, []), (1, [0]), (3, [0, 2, 3]), (6, [0, 1, 2, 3, 4, 6]),
-    (20, [0, 1, 2, 3, 4, 6])])
+@pytest.mark.parametrize(
+    "count, expected", [(-1, []), (0, []), (1, [0]), (3, [0, 2, 3]), (6, [0, 1, 2, 3, 4, 6]), (20, [0, 1, 2, 3, 4, 6])]
+)
 def test_the_highest(count, expected):
     """Whatever the threshold, but never one that has no gradient."""
     assert chosen(highest(GRADIENT, count)) == expected
@@ -66,8 +65,12 @@ def test_the_highest(count, expected):
 
 def test_nothing_to_choose_from():
     empty, rng = np.zeros(0), np.random.default_rng(0)
-    for mask in (above_threshold(empty, 1, 3), highest(empty, 3), half_of(empty > 0, empty, rng),
-                 by_score(empty, empty, 1, empty > 0, 3, rng)):
+    for mask in (
+        above_threshold(empty, 1, 3),
+        highest(empty, 3),
+        half_of(empty > 0, empty, rng),
+        by_score(empty, empty, 1, empty > 0, 3, rng),
+    ):
         assert mask.shape == (0,)
     still = np.zeros(5)
     assert not by_score(still + 1, still, 1, still > 0, 3, rng).any()
@@ -103,8 +106,7 @@ def test_draws_follow_the_scores():
     """The first of two drawn is i with p_i, the second j with p_j / (1 - p_i)."""
     scores, trials = np.array([4.0, 3.0, 2.0, 1.0]), 4000
     p = scores / 10
-    inclusion = [p[i] + sum(p[j] * p[i] / (1 - p[j]) for j in range(4) if j != i)
-                 for i in range(4)]
+    inclusion = [p[i] + sum(p[j] * p[i] / (1 - p[j]) for j in range(4) if j != i) for i in range(4)]
     ones = np.ones(4)
     rng = np.random.default_rng(2)
     drawn = sum(by_score(scores, ones, 1, ones > 0, 2, rng).astype(int) for _ in range(trials))
@@ -132,5 +134,4 @@ def test_who_was_ineligible_does_not_move_the_draws_of_others():
     scores, gradient, small = a_population()
     first = by_score(scores, gradient, 1.0, small, 50, np.random.default_rng(6))
     changed = np.where(gradient < 1, 7.0, scores)
-    assert np.array_equal(
-        first, by_score(changed, gradient, 1.0, small, 50, np.random.default_rng(6)))
+    assert np.array_equal(first, by_score(changed, gradient, 1.0, small, 50, np.random.default_rng(6)))

@@ -9,8 +9,7 @@ from clsplat.gaussians import SPHERE, Gaussians
 
 def cloud(count, seed=0):
     rng = np.random.default_rng(seed)
-    return Gaussians.from_points(rng.normal(size=(count, 3)),
-                                 np.zeros((count, 3), np.uint8), sh_degree=1)
+    return Gaussians.from_points(rng.normal(size=(count, 3)), np.zeros((count, 3), np.uint8), sh_degree=1)
 
 
 @pytest.mark.parametrize("neighbours", [1, 3, 15])
@@ -36,11 +35,9 @@ def test_beyond_reach_times_max_offset_is_outside():
     anchors = np.float32([[1, 2, 3]] * 6)
     moved = np.float32([[3, 0, 4], [3, 0, 4], [0, 0, 0], [-5, 0, 0], [0, 5.0001, 0], [2.9] * 3])
     offsets = np.float32([2.5, 2.4999, 0, 2.5, 2.5, 2.5])
-    assert outside(anchors + moved, anchors, offsets, 2.0).tolist() == [
-        False, True, False, False, True, True]
+    assert outside(anchors + moved, anchors, offsets, 2.0).tolist() == [False, True, False, False, True, True]
     assert outside(anchors + moved, anchors, offsets, 3.0).tolist() == [False] * 6
-    assert outside(anchors + moved, anchors, offsets, 0.0).tolist() == [
-        True, True, False, True, True, True]
+    assert outside(anchors + moved, anchors, offsets, 0.0).tolist() == [True, True, False, True, True, True]
     assert outside(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), 2.0).shape == (0,)
 
 
@@ -48,8 +45,11 @@ def test_beyond_reach_times_max_offset_is_outside():
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("name", ["positions", "anchors", "max_offsets"])
 def test_what_is_no_number_is_outside(name, value):
-    rows = {"positions": np.zeros((3, 3), np.float32), "anchors": np.zeros((3, 3), np.float32),
-            "max_offsets": np.ones(3, np.float32)}
+    rows = {
+        "positions": np.zeros((3, 3), np.float32),
+        "anchors": np.zeros((3, 3), np.float32),
+        "max_offsets": np.ones(3, np.float32),
+    }
     rows[name][1] = value
     # nothing is outside an infinite sphere
     expected = [False, not (name == "max_offsets" and value == np.inf), False]

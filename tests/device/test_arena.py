@@ -5,8 +5,9 @@ import pytest
 from clsplat.device.array import MOST_SPARE, Arena, block_bytes
 
 
-@pytest.mark.parametrize("size, again", [(1000, True), (1000 // MOST_SPARE, True),
-                                         (1000 // MOST_SPARE - 1, False), (1001, False)])
+@pytest.mark.parametrize(
+    "size, again", [(1000, True), (1000 // MOST_SPARE, True), (1000 // MOST_SPARE - 1, False), (1001, False)]
+)
 def test_a_free_block_serves_an_array_that_is_not_much_smaller(size, again):
     arena = Arena(bytearray)
     first = arena.allocate(1000, exact=True)

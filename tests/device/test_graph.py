@@ -30,8 +30,14 @@ def work(device, rows, indices, total, weight):
     add_to(device, total, picked)
     spare = device.empty(total.shape)
     spare.fill(0)
-    device.launch(SCALE, count=total.shape[0] * total.shape[1], weight=weight,
-                  sums=device.ones, grad_depth=total, grad_transmittance=spare)
+    device.launch(
+        SCALE,
+        count=total.shape[0] * total.shape[1],
+        weight=weight,
+        sums=device.ones,
+        grad_depth=total,
+        grad_transmittance=spare,
+    )
     return sum_columns(device, total)
 
 
@@ -74,7 +80,14 @@ def test_a_replay_does_what_direct_launches_do(own_device, monkeypatch, has_enqu
     assert np.array_equal(direct, replayed)
     assert len(np.unique(direct[:, 0])) == 5
     assert [function for function, *_ in graph._commands] == [
-        "gather", "fill", "add_to", "add_to", "fill", "scale_gradients", "sum_columns"]
+        "gather",
+        "fill",
+        "add_to",
+        "add_to",
+        "fill",
+        "scale_gradients",
+        "sum_columns",
+    ]
 
 
 def test_inputs_that_are_left_out_stay(own_device):
@@ -106,17 +119,25 @@ def test_counters_of_a_replay(own_device):
 @pytest.mark.parametrize("wrong", ["shape", "type", "kind"])
 def test_an_array_of_another_shape_is_refused(own_device, wrong):
     device, graph = own_device, sums_of(own_device, True)[1]
-    other = {"shape": dict(rows=Case(device, 0, rows=8).rows),
-             "type": dict(rows=device.zeros((7, 3), np.uint32)),
-             "kind": dict(weight=device.zeros(1))}[wrong]
+    other = {
+        "shape": dict(rows=Case(device, 0, rows=8).rows),
+        "type": dict(rows=device.zeros((7, 3), np.uint32)),
+        "kind": dict(weight=device.zeros(1)),
+    }[wrong]
     with pytest.raises(ShapeError, match="'(rows|weight)' has another shape or type"):
         graph.replay(**other)
 
 
-@pytest.mark.parametrize("wait", [
-    lambda array: array.download(), lambda array: array.write([0.0]),
-    lambda array: array.device.finish(), lambda array: array.device.upload(np.zeros(3))],
-    ids=["download", "write", "finish", "upload"])
+@pytest.mark.parametrize(
+    "wait",
+    [
+        lambda array: array.download(),
+        lambda array: array.write([0.0]),
+        lambda array: array.device.finish(),
+        lambda array: array.device.upload(np.zeros(3)),
+    ],
+    ids=["download", "write", "finish", "upload"],
+)
 def test_a_recording_does_not_wait(own_device, wait):
     array = own_device.zeros(3)
     with pytest.raises(RuntimeError, match="must not wait"), own_device.record():
@@ -125,13 +146,32 @@ def test_a_recording_does_not_wait(own_device, wait):
 
 
 USES = {
-    "+": lambda x: x + 1, "r*": lambda x: 2 * x, "neg": lambda x: -x, "round": round, "int": int,
-    "bool": bool, "not": lambda x: not x, "<": lambda x: x < 1, "==": lambda x: x == 1,
-    "r==": lambda x: 1 == x, "!=": lambda x: x != 1, "max": lambda x: max(1, x),
-    "index": lambda x: [1, 2][x], "range": range, "unpacking": lambda x: [*x],
-    "in": lambda x: x in (1, 2), "set": lambda x: {x}, "str": str, "f-string": lambda x: f"{x}",
-    "format": lambda x: f"{x:.2f}", "%s": lambda x: "%s" % (x,), "sqrt": math.sqrt,
-    "numpy": np.float32, "array": np.asarray, "array sum": lambda x: np.ones(2) + x}
+    "+": lambda x: x + 1,
+    "r*": lambda x: 2 * x,
+    "neg": lambda x: -x,
+    "round": round,
+    "int": int,
+    "bool": bool,
+    "not": lambda x: not x,
+    "<": lambda x: x < 1,
+    "==": lambda x: x == 1,
+    "r==": lambda x: 1 == x,
+    "!=": lambda x: x != 1,
+    "max": lambda x: max(1, x),
+    "index": lambda x: [1, 2][x],
+    "range": range,
+    "unpacking": lambda x: [*x],
+    "in": lambda x: x in (1, 2),
+    "set": lambda x: {x},
+    "str": str,
+    "f-string": lambda x: f"{x}",
+    "format": lambda x: f"{x:.2f}",
+    "%s": lambda x: "%s" % (x,),
+    "sqrt": math.sqrt,
+    "numpy": np.float32,
+    "array": np.asarray,
+    "array sum": lambda x: np.ones(2) + x,
+}
 
 
 @pytest.mark.parametrize("use", USES)

@@ -15,10 +15,12 @@ __kernel void twice(uint count, __global const float *values, __global float *re
     results[get_global_id(0)] = 2 * values[get_global_id(0)];
 }
 """
-TWICE = Kernel("twice.cl", "twice", each("count"), count="uint", values=("float", "N"),
-               results=("float", "N")).forms.item
-SWAPPED = Kernel("swapped.cl", "twice", each("count"), count="uint", results=("float", "N"),
-                 values=("float", "N")).forms.item
+TWICE = Kernel(
+    "twice.cl", "twice", each("count"), count="uint", values=("float", "N"), results=("float", "N")
+).forms.item
+SWAPPED = Kernel(
+    "swapped.cl", "twice", each("count"), count="uint", results=("float", "N"), values=("float", "N")
+).forms.item
 
 
 @pytest.fixture
@@ -39,8 +41,7 @@ def was_compiled(program):
 
 def doubled(device, program):
     values, results = device.upload([1, 2.5]), device.empty(2)
-    cl.Kernel(program, "twice")(
-        device.queue, (2,), None, np.uint32(2), values.buffer, results.buffer)
+    cl.Kernel(program, "twice")(device.queue, (2,), None, np.uint32(2), values.buffer, results.buffer)
     return results.download().tolist()
 
 
@@ -57,10 +58,8 @@ def test_whatever_changes_the_program_compiles_again(float_device, folder, monke
     assert len(list(folder.iterdir())) == 3
 
 
-@pytest.mark.parametrize("name", ["compact.cl", "item/compact.cl", "group/compact.cl",
-                                  "include/group.h"])
-def test_the_name_of_a_binary_covers_what_its_source_includes(
-        float_device, folder, tmp_path, monkeypatch, name):
+@pytest.mark.parametrize("name", ["compact.cl", "item/compact.cl", "group/compact.cl", "include/group.h"])
+def test_the_name_of_a_binary_covers_what_its_source_includes(float_device, folder, tmp_path, monkeypatch, name):
     def named():
         texts = [programs.kernel_source.__wrapped__(file) for file in ("compact.cl", "gather.cl")]
         return [programs._file_of(float_device.handle, text, [], []) for text in texts]
@@ -75,12 +74,13 @@ def test_the_name_of_a_binary_covers_what_its_source_includes(
     assert after[0] != before[0] and after[1] == before[1]
 
 
-@pytest.mark.parametrize("damage", [
-    lambda data: data[:-1], lambda data: b"", lambda data: data[40:],
-    lambda data: data[:50] + b"x" + data[51:]])
+@pytest.mark.parametrize(
+    "damage",
+    [lambda data: data[:-1], lambda data: b"", lambda data: data[40:], lambda data: data[:50] + b"x" + data[51:]],
+)
 def test_a_damaged_binary_is_not_used(float_device, folder, damage):
     build(float_device)
-    file, = folder.iterdir()
+    (file,) = folder.iterdir()
     whole = file.read_bytes()
     file.write_bytes(damage(whole))
     assert was_compiled(build(float_device))
@@ -91,8 +91,7 @@ def test_a_damaged_binary_is_not_used(float_device, folder, damage):
 def test_a_wrong_declaration_is_refused_however_often(float_device, folder, tmp_path, times):
     (tmp_path / "twice.cl").write_text(SOURCE)
     names = str(tmp_path / "twice.cl")
-    right, wrong = (Kernel(names, "twice", each("count"), **kernel.arguments)
-                    for kernel in (TWICE, SWAPPED))
+    right, wrong = (Kernel(names, "twice", each("count"), **kernel.arguments) for kernel in (TWICE, SWAPPED))
     for _ in range(times):
         device = Device(float_device.handle, form=float_device.form)
         device._build(right, ())
@@ -114,7 +113,7 @@ def test_a_home_that_cannot_be_written_costs_nothing(float_device, tmp_path, mon
 
 def test_what_was_long_unused_is_removed(float_device, folder):
     build(float_device)
-    old, = folder.iterdir()
+    (old,) = folder.iterdir()
     programs.os.utime(old, (1, 1))
     build(float_device, SOURCE + "\n")
     assert not old.exists() and len(list(folder.iterdir())) == 1

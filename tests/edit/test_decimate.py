@@ -13,8 +13,10 @@ from tests.data.cloud import cloud
 
 
 def covariances(model):
-    axes = Rotation.from_quat(model.quaternions[:, [1, 2, 3, 0]]).as_matrix() * np.exp(
-        model.log_scales.astype(np.float64))[:, None]
+    axes = (
+        Rotation.from_quat(model.quaternions[:, [1, 2, 3, 0]]).as_matrix()
+        * np.exp(model.log_scales.astype(np.float64))[:, None]
+    )
     return axes @ axes.transpose(0, 2, 1)
 
 
@@ -36,13 +38,11 @@ def test_two_become_one_with_their_moments():
 
 def test_the_cheapest_pairs_are_merged_and_the_rest_stays():
     model = cloud(40, size=0.02)
-    copies = Gaussians({name: np.concatenate([rows, rows[:5]])
-                        for name, rows in model.rows.items()}, 3)
+    copies = Gaussians({name: np.concatenate([rows, rows[:5]]) for name, rows in model.rows.items()}, 3)
     copies.rows["opacity_logits"][-5:] = copies.rows["opacity_logits"][:5] = logit(0.2)
     fewer = decimated(copies, 40)
     assert fewer.count == 40
-    untouched = [name for name in model.rows
-                 if (fewer.rows[name][5:] == model.rows[name][5:]).all()]
+    untouched = [name for name in model.rows if (fewer.rows[name][5:] == model.rows[name][5:]).all()]
     assert untouched == list(model.rows), "only the five pairs of copies changed"
     assert np.allclose(expit(fewer.opacity_logits[:5]), 0.4, atol=1e-5)
     assert np.allclose(covariances(fewer), covariances(model), rtol=1e-3, atol=1e-8)
@@ -54,8 +54,7 @@ def test_counts(count, at_one_place):
     calls = []
     model = cloud()
     if at_one_place:  # and without sizes
-        for name, value in (("positions", 0), ("log_scales", -60), ("opacity_logits", -200),
-                            ("quaternions", 0)):
+        for name, value in (("positions", 0), ("log_scales", -60), ("opacity_logits", -200), ("quaternions", 0)):
             model.rows[name][:] = value
     fewer = decimated(model, count, progress=lambda done, total: calls.append((done, total)))
     assert fewer.count == min(count, 60)

@@ -21,9 +21,14 @@ def test_it_looks_the_same_from_a_camera_that_moved_along(float_device, scale):
     rotation = Rotation.from_euler("zyx", (40, -100, 25), degrees=True).as_matrix()
     translation = np.array([3.0, 40.0, -7.0])
     moved = transformed(model, scale, rotation, translation)
-    along = Camera(camera.width, camera.height, camera.focal, camera.centre,
-                   camera.rotation @ rotation.T,
-                   scale * camera.translation - camera.rotation @ rotation.T @ translation)
+    along = Camera(
+        camera.width,
+        camera.height,
+        camera.focal,
+        camera.centre,
+        camera.rotation @ rotation.T,
+        scale * camera.translation - camera.rotation @ rotation.T @ translation,
+    )
     before = render(model, camera, device=float_device)
     after = render(moved, along, device=float_device)
     assert before.std() > 0.1 and np.abs(before - after).max() < 2e-3
@@ -54,14 +59,14 @@ def test_a_rotated_function_has_in_a_rotated_direction_its_old_value(bands):
     before, after = harmonics(d)[:, :bands], harmonics(d @ turn.T)[:, :bands]
     found = rotated(rest, turn)
     assert found.dtype == np.float32 and found.shape == rest.shape
-    assert np.allclose(np.einsum("dk,nkc->dnc", after, found),
-                       np.einsum("dk,nkc->dnc", before, rest), atol=1e-5)
-    full = reference(d, 3)[0][:, 1:bands + 1]
+    assert np.allclose(np.einsum("dk,nkc->dnc", after, found), np.einsum("dk,nkc->dnc", before, rest), atol=1e-5)
+    full = reference(d, 3)[0][:, 1 : bands + 1]
     assert np.allclose(before, full, atol=1e-12)
 
 
-@pytest.mark.parametrize("scale, translation", [
-    (1e38, (0, 0, 0)), (1e-300, (0, 0, 0)), (1.0, (0, -1e39, 0)), (1e200, (1e300, 0, 0))])
+@pytest.mark.parametrize(
+    "scale, translation", [(1e38, (0, 0, 0)), (1e-300, (0, 0, 0)), (1.0, (0, -1e39, 0)), (1e200, (1e300, 0, 0))]
+)
 @pytest.mark.filterwarnings("error")
 def test_what_single_precision_does_not_hold_is_refused(scale, translation):
     points = np.random.default_rng(0).normal(size=(50, 3)) * 9

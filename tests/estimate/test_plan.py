@@ -38,12 +38,17 @@ def course_of(count, pixels, size=(512, 382), **options):
     return simulate(schedule_of(options.schedule)(options, facts))
 
 
-@pytest.mark.parametrize("count, views, size, steps, ended", [
-    (15689, 24, (512, 382), 7000, 117_220), (25683, 65, (509, 383), 30000, 316_781),
-    (4400, 28, (320, 240), 7000, 53_677)], ids=["boruszyn", "caliterra", "city"])
+@pytest.mark.parametrize(
+    "count, views, size, steps, ended",
+    [
+        (15689, 24, (512, 382), 7000, 117_220),
+        (25683, 65, (509, 383), 30000, 316_781),
+        (4400, 28, (320, 240), 7000, 53_677),
+    ],
+    ids=["boruszyn", "caliterra", "city"],
+)
 def test_runs_that_meet_their_ceiling_end_as_foretold(count, views, size, steps, ended):
-    segments = course_of(count, views * size[0] * size[1], size, iterations=steps,
-                         pixels_per_gaussian=40.0)
+    segments = course_of(count, views * size[0] * size[1], size, iterations=steps, pixels_per_gaussian=40.0)
     assert largest(segments) == pytest.approx(ended, rel=0.01)
     assert sum(segment.steps for segment in segments) == steps
     levels = list(dict.fromkeys(segment.level for segment in segments))
@@ -51,8 +56,7 @@ def test_runs_that_meet_their_ceiling_end_as_foretold(count, views, size, steps,
 
 
 def test_a_budget_is_reached_and_a_limit_is_kept():
-    assert largest(course_of(4400, 10**7, schedule="taming", iterations=7000)) == pytest.approx(
-        15 * 4400, rel=0.01)
+    assert largest(course_of(4400, 10**7, schedule="taming", iterations=7000)) == pytest.approx(15 * 4400, rel=0.01)
     for schedule in OURS:
         segments = course_of(4400, 10**7, schedule=schedule, iterations=7000, max_gaussians=9000)
         assert 8900 < largest(segments) <= 9000
@@ -61,6 +65,7 @@ def test_a_budget_is_reached_and_a_limit_is_kept():
 def test_demand_is_that_of_fine_detail():
     """Of few gaussians a share asks; later a share of the pixels, less where photos are blurred and
     positions have settled."""
+
     def counts(detail=None, **limits):
         options = scaled_steps(resolve({}, {"schedule": "constant", "iterations": 30000, **limits}))
         facts = SceneFacts((512, 382), 1000, 20.0, tuple, 10**6)
@@ -94,9 +99,13 @@ def test_detail_is_what_half_the_size_would_not_show(tmp_path):
     board = np.kron(np.indices((8, 8)).sum(axis=0) % 2, np.ones((1, 1)))[..., None].repeat(3, 2)
     lines = np.zeros((8, 8, 3))
     lines[:, ::2] = 255
-    cases = (("board", 255 * board, 0.5), ("columns", lines, 0.5),
-             ("rows", lines.transpose(1, 0, 2), 0.5), ("flat", 0 * board + 90, 0.0),
-             ("blocks", np.kron(255 * board, np.ones((2, 2, 1))), 0.0))
+    cases = (
+        ("board", 255 * board, 0.5),
+        ("columns", lines, 0.5),
+        ("rows", lines.transpose(1, 0, 2), 0.5),
+        ("flat", 0 * board + 90, 0.0),
+        ("blocks", np.kron(255 * board, np.ones((2, 2, 1))), 0.0),
+    )
     for name, image, expected in cases:
         write_image(tmp_path / f"{name}.png", image.astype(np.uint8))
         height, width = image.shape[:2]
@@ -111,10 +120,12 @@ def test_photos_are_compared_while_growing_only():
     assert not any(s.regularises for s in course_of(4400, 10**6, iterations=3000))
 
 
-PARTS = [{"poses": "on"},
-         {"exposure": "on", "vignetting": "on", "reproject": "on", "robust": "on"},
-         {"batch": 3},
-         {"sh_degree": 1, "engine": "numpy"}]
+PARTS = [
+    {"poses": "on"},
+    {"exposure": "on", "vignetting": "on", "reproject": "on", "robust": "on"},
+    {"batch": 3},
+    {"sh_degree": 1, "engine": "numpy"},
+]
 
 
 @pytest.mark.slow  # the group form takes half a minute on a CPU
@@ -124,16 +135,17 @@ def test_trial_steps_foretell_what_a_training_allocates(float_device, options):
     """At a size between those that were tried, with photos that stay and with photos that do not;
     frames of the second have more room, as views are met in another order."""
     device = Device(float_device.handle, form=float_device.form)  # nothing is allocated yet
-    prepared = prepare(read_scene(CITY), resolve({}, {
-        "exposure": "off", "downscale": 4.0, "test_every": 0, "sphere": False, **options}),
-        device)
+    prepared = prepare(
+        read_scene(CITY),
+        resolve({}, {"exposure": "off", "downscale": 4.0, "test_every": 0, "sphere": False, **options}),
+        device,
+    )
     gaussians = sampled(prepared.scene, 5000, prepared.options.sh_degree)
     regularises = options.get("reproject") == "on"
     segments = [Segment(1, 2.0, 3000, regularises), Segment(1, 1.0, 5000, regularises)]
     trials = module.take_trials(device, prepared, 3000, segments, SilentProgress())
     assert len(trials) == 3 and trials[:, 2].all()
-    memory = module.predicted_memory(device, prepared, gaussians.rows, gaussians.count, segments,
-                                     trials)
+    memory = module.predicted_memory(device, prepared, gaussians.rows, gaussians.count, segments, trials)
     device.trim()
     assert device.memory_bytes < 10_000  # trials give back what they take
     photos = Photos(device, prepared.train_views)
@@ -161,22 +173,37 @@ def measured_peak(device, monkeypatch):
         array = allocate(*arguments)
         peaks.append(max(peaks[-1], device.memory_bytes))
         return array
+
     monkeypatch.setattr(device, "_new", noting)
     return peaks
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [
-    pytest.param({"schedule": "sig", "levels": (2.0, 1.0), "downscale": 2.0, "iterations": 600},
-                 marks=pytest.mark.nightly),
-    {"schedule": "taming", "downscale": 4.0, "iterations": 240, "taming_budget": 4.0}], ids=str)
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param(
+            {"schedule": "sig", "levels": (2.0, 1.0), "downscale": 2.0, "iterations": 600}, marks=pytest.mark.nightly
+        ),
+        {"schedule": "taming", "downscale": 4.0, "iterations": 240, "taming_budget": 4.0},
+    ],
+    ids=str,
+)
 def test_a_run_takes_what_was_foretold(tmp_path, item_device, monkeypatch, options):
     """Memory, which has the margins of training/capacity.py, within 20 %, at its peak 30 %; of the
     time no more is asked for than a busy machine can keep. What the forms allocate is counted
     above."""
     scene = read_scene(CITY)
-    options = {"exposure": "off", "reset_every": 0, "prune_opacity": 0.005, "densify_from": 100,
-               "densify_every": 25, "grow_threshold": 2e-5, "densify_until": 0, **options}
+    options = {
+        "exposure": "off",
+        "reset_every": 0,
+        "prune_opacity": 0.005,
+        "densify_from": 100,
+        "densify_every": 25,
+        "grow_threshold": 2e-5,
+        "densify_until": 0,
+        **options,
+    }
     estimating = Device(item_device.handle, form="item")
     foretold = forecast(prepare(scene, options_of(**options), estimating), estimating)
     fresh = Device(item_device.handle, form="item")
@@ -184,17 +211,16 @@ def test_a_run_takes_what_was_foretold(tmp_path, item_device, monkeypatch, optio
     run = trained(tmp_path, scene, fresh, **options)
     steps = records(run, "step")
     assert max(step["gaussians"] for step in (*steps, *records(run, "grow"))) == pytest.approx(
-        foretold.gaussians, rel=0.2)
-    assert foretold.memory.steps == pytest.approx(
-        max(step["memory_bytes"] for step in steps), rel=0.2)
+        foretold.gaussians, rel=0.2
+    )
+    assert foretold.memory.steps == pytest.approx(max(step["memory_bytes"] for step in steps), rel=0.2)
     assert foretold.memory.total == pytest.approx(peaks[-1], rel=0.3)
     assert 0.2 < foretold.seconds / steps[-1]["train_seconds"] < 5
 
 
 def test_three_costs_are_found_again():
     cost = (2e-3, 3e-8, 4e-7)
-    made = [(image, count, np.dot(cost, (1, image, count)))
-            for image in (1e4, 2e5) for count in (1000, 5000)]
+    made = [(image, count, np.dot(cost, (1, image, count))) for image in (1e4, 2e5) for count in (1000, 5000)]
     made = np.array(made).T
     assert fitted(*made) == pytest.approx(cost)
     a, b, c = fitted(*made[:, made[0] == 1e4])
@@ -206,10 +232,10 @@ def test_a_course_costs_what_its_steps_do(city):
     segments = [Segment(10, 2.0, 100, False), Segment(5, 1.0, 200, False)]
     small, large = pixels(city.views, 2.0), pixels(city.views, 1.0)
     assert (small, large) == (40 * 30, 80 * 60)
-    measured = [(image, count, 1 + 0.1 * image + 0.01 * count)
-                for image in (small, large) for count in (100, 200)]
+    measured = [(image, count, 1 + 0.1 * image + 0.01 * count) for image in (small, large) for count in (100, 200)]
     assert module.predicted_seconds(np.array(measured), city.views, segments) == pytest.approx(
-        10 * (1 + 0.1 * small + 1) + 5 * (1 + 0.1 * large + 2))
+        10 * (1 + 0.1 * small + 1) + 5 * (1 + 0.1 * large + 2)
+    )
 
 
 @pytest.mark.parametrize("count", [50, 4400, 6000])
@@ -255,7 +281,8 @@ def test_photos_that_are_reduced_are_named():
     assert options.max_resolution == 1600
     large, small = sized_views(5472, 4088), sized_views(1600, 1200)
     assert size_note((*small, *large), options) == (
-        "photos of 5472x4088 are reduced to 1600x1195; --max-resolution none keeps their size")
+        "photos of 5472x4088 are reduced to 1600x1195; --max-resolution none keeps their size"
+    )
     assert size_note(small, options) is None
     assert size_note(large, resolve({}, {"max_resolution": 0})) is None
     assert size_note(large, resolve({}, {"downscale": 4.0})) is None  # -r does it already
@@ -270,29 +297,40 @@ def test_the_command_says_it_all(monkeypatch, item_device):
     assert result.stderr.startswith("reading the scene\nplanning: inspecting the photos\n")
     assert result.stdout.startswith("city: 28 photos to train on, 4 held out, 4,400 points; ")
     assert " ".join(line[0] for line in lines[1:]) == (
-        "steps init levels gaussians sh exposure vignetting reproject robust "
-        "engine photos memory time")
+        "steps init levels gaussians sh exposure vignetting reproject robust engine photos memory time"
+    )
     assert "exposure      off: requested\n" in result.output
     assert "sh degree     3: requested\n" in result.output
     assert "for 60 steps: a step takes " in result.output
 
 
-@pytest.mark.parametrize("words, complaint", [
-    ((CITY / "nothing",), "no such scene"), ((CITY, "--test-every", 1), "holds out every view"),
-    ((CITY, "--sh-degree", "x"), "--sh-degree x: expects a whole number"),
-    ((CITY, "--levels", "90,1"), "less than a tile")])
+@pytest.mark.parametrize(
+    "words, complaint",
+    [
+        ((CITY / "nothing",), "no such scene"),
+        ((CITY, "--test-every", 1), "holds out every view"),
+        ((CITY, "--sh-degree", "x"), "--sh-degree x: expects a whole number"),
+        ((CITY, "--levels", "90,1"), "less than a tile"),
+    ],
+)
 def test_what_cannot_begin_is_one_line(monkeypatch, words, complaint):
     monkeypatch.setattr("clsplat.device.choose_device", lambda *_, **__: None)
     result = clsplat_("plan", *words)
     assert result.exit_code == 2 and complaint in result.stderr
-    said = [line for line in result.stderr.splitlines() if line not in (
-        "reading the scene", "planning: inspecting the photos")]
+    said = [
+        line
+        for line in result.stderr.splitlines()
+        if line not in ("reading the scene", "planning: inspecting the photos")
+    ]
     assert len(said) == 1 and said[0].startswith("error: ")
 
 
 def test_a_time_budget_decides_the_steps(item_device, city, monkeypatch):
-    for name, value in (("take_trials", []), ("predicted_memory", Memory(0, 0, 0, True, 0)),
-                        ("predicted_seconds", 3000.0)):
+    for name, value in (
+        ("take_trials", []),
+        ("predicted_memory", Memory(0, 0, 0, True, 0)),
+        ("predicted_seconds", 3000.0),
+    ):
         monkeypatch.setattr(module, name, lambda *_, value=value: value)
     options = resolve({}, {"time_budget": "2m", "schedule": "taming", "exposure": "off"})
     found = forecast(prepare(city, options, item_device), item_device)

@@ -23,8 +23,11 @@ def transforms_of(gains):
 
 def learned(gains, lens=(0, 0, 0, 1)):
     """Responses by name, photo_0 on, without each third from the second on."""
-    return {f"photo_{i}.jpg": Response(np.eye(3, 4) * gain, np.array(lens, float))
-            for i, gain in enumerate(gains) if i % 3 != 1}
+    return {
+        f"photo_{i}.jpg": Response(np.eye(3, 4) * gain, np.array(lens, float))
+        for i, gain in enumerate(gains)
+        if i % 3 != 1
+    }
 
 
 def test_a_slow_change_is_interpolated_in_the_order_of_numbers():
@@ -33,8 +36,7 @@ def test_a_slow_change_is_interpolated_in_the_order_of_numbers():
     found = predicted_responses([view(f"photo_{i}.jpg") for i in range(30)], known)
     assert found.weight > 0.95 and found.responses.keys() > known.keys()
     for i in (4, 10, 19):  # photo_10 stands between photo_9 and photo_11
-        assert found.responses[f"photo_{i}.jpg"].transform == pytest.approx(
-            np.eye(3, 4) * gains[i], abs=0.01)
+        assert found.responses[f"photo_{i}.jpg"].transform == pytest.approx(np.eye(3, 4) * gains[i], abs=0.01)
     assert all(found.responses[name] is response for name, response in known.items())
 
 

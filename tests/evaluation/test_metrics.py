@@ -47,7 +47,7 @@ def test_equal_and_black_images_do_not_fail(photo):
 def test_ssim_is_that_of_wang_et_al(photo):
     """The map written out for one channel with an explicit 11x11 window."""
     image = np.clip(photo + np.random.default_rng(2).normal(0, 0.05, photo.shape), 0, 1)
-    axis = np.exp(-np.arange(-5, 6) ** 2 / (2 * 1.5**2))
+    axis = np.exp(-(np.arange(-5, 6) ** 2) / (2 * 1.5**2))
     window = np.outer(axis, axis) / axis.sum() ** 2
 
     def mean(values):
@@ -69,8 +69,7 @@ def test_an_image_smaller_than_the_window_is_refused():
 
 
 def test_only_pixels_that_count_count(photo):
-    """Whatever is elsewhere; of SSIM whole windows, which a mask of a rectangle cuts like a border.
-    """
+    """Whatever is elsewhere; of SSIM whole windows, which a mask of a rectangle cuts like a border."""
     noisy = photo + np.random.default_rng(2).normal(0, 0.05, photo.shape)
     part, valid = (slice(20, 60), slice(10, 50)), np.zeros(photo.shape[:2], bool)
     valid[part] = True
@@ -133,10 +132,14 @@ def test_without_onnxruntime_the_cure_is_named(monkeypatch):
 def quadratic(image):
     """A map like a change of exposure and white balance, that mixes all ten features."""
     r, g, b = np.moveaxis(image, -1, 0)
-    return np.stack([
-        0.05 + 0.8 * r + 0.05 * g - 0.15 * r * r + 0.04 * r * g,
-        0.02 + 0.9 * g + 0.03 * b - 0.1 * g * g + 0.05 * g * b,
-        0.10 + 0.6 * b + 0.05 * r + 0.1 * b * b - 0.06 * b * r], axis=-1)
+    return np.stack(
+        [
+            0.05 + 0.8 * r + 0.05 * g - 0.15 * r * r + 0.04 * r * g,
+            0.02 + 0.9 * g + 0.03 * b - 0.1 * g * g + 0.05 * g * b,
+            0.10 + 0.6 * b + 0.05 * r + 0.1 * b * b - 0.06 * b * r,
+        ],
+        axis=-1,
+    )
 
 
 @pytest.fixture

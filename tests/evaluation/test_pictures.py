@@ -26,8 +26,14 @@ def scored(name, psnr, size=(8, 6)):
 
 
 def pictures(held_out=True, size=(8, 6), names=("a.jpg", "b.jpg", "c.jpg")):
-    return Pictures([shown_view(place, *scored(name, psnr, size)) for place, name, psnr in zip(
-        ("worst", "median", "best"), names, (18.0, 22.0, 25.0))], held_out, 7)
+    return Pictures(
+        [
+            shown_view(place, *scored(name, psnr, size))
+            for place, name, psnr in zip(("worst", "median", "best"), names, (18.0, 22.0, 25.0))
+        ],
+        held_out,
+        7,
+    )
 
 
 @pytest.fixture
@@ -39,11 +45,17 @@ def run(tmp_path):
     return run
 
 
-@pytest.mark.parametrize("scores, chosen", [
-    ([20, 30, 10, 25, 15], [("worst", 2), ("median", 0), ("best", 1)]),
-    ([20, float("nan"), 30], [("worst", 1), ("median", 0), ("best", 2)]),
-    ([20, 30, 25, float("inf")], [("worst", 0), ("median", 1), ("best", 3)]),
-    ([30, 20], [("worst", 1), ("best", 0)]), ([20], [("only", 0)]), ([], [])])
+@pytest.mark.parametrize(
+    "scores, chosen",
+    [
+        ([20, 30, 10, 25, 15], [("worst", 2), ("median", 0), ("best", 1)]),
+        ([20, float("nan"), 30], [("worst", 1), ("median", 0), ("best", 2)]),
+        ([20, 30, 25, float("inf")], [("worst", 0), ("median", 1), ("best", 3)]),
+        ([30, 20], [("worst", 1), ("best", 0)]),
+        ([20], [("only", 0)]),
+        ([], []),
+    ],
+)
 def test_which_views_are_shown(scores, chosen):
     assert chosen_views([{"psnr_cc": score} for score in scores]) == chosen
 
@@ -71,7 +83,10 @@ def test_chosen_views_are_rendered_again_and_no_others(monkeypatch):
     found = views.pictures_of(None, None, 0, held_out, named(1, 2), known)
     assert asked == [["18.jpg", "25.jpg", "30.jpg"]] and found.held_out and found.count == 4
     assert [(view.place, view.scores["name"]) for view in found.shown] == [
-        ("worst", "18.jpg"), ("median", "25.jpg"), ("best", "30.jpg")]
+        ("worst", "18.jpg"),
+        ("median", "25.jpg"),
+        ("best", "30.jpg"),
+    ]
     asked.clear()
     assert sides == {8000}  # scores are those of the whole photo
     sides.clear()
@@ -84,8 +99,7 @@ def test_chosen_views_are_rendered_again_and_no_others(monkeypatch):
 
 def test_the_error_map_has_a_scale_that_is_even():
     photo = np.full((1, 6, 3), 0.5)
-    render = photo + np.array([0, LARGEST_ERROR / 2, -LARGEST_ERROR / 2, LARGEST_ERROR, -0.5,
-                               np.nan])[:, None]
+    render = photo + np.array([0, LARGEST_ERROR / 2, -LARGEST_ERROR / 2, LARGEST_ERROR, -0.5, np.nan])[:, None]
     got = error_map(render, photo)
     assert got.dtype == np.uint8
     first, middle, last = COLOURS[0], COLOURS[len(COLOURS) // 2], COLOURS[-1]
@@ -106,8 +120,9 @@ def test_a_report_begins_with_pictures(run):
     assert "Worst: a&lt;b.jpg" in html and "Best: c.jpg" in html
     assert "<p>PSNR 18.00 dB (poor), SSIM 0.8000</p>" in html
     assert "a PSNR from 28 dB is very good" in html
-    assert re.findall("<figcaption>(.*?)</figcaption>", html) == [
-        "photo", "render after the colour fit", "its error"] * 3
+    assert (
+        re.findall("<figcaption>(.*?)</figcaption>", html) == ["photo", "render after the colour fit", "its error"] * 3
+    )
     assert f"{LARGEST_ERROR:.0%} of full brightness" in html
     data = re.search(r'alt="error of c.jpg".*?base64,([^"]+)"', html)[1]
     seen = read_image(base64.b64decode(data)).reshape(-1, 3).mean(0)
@@ -129,10 +144,8 @@ def test_scores_that_are_added_are_in_the_next_report(run):
 
 
 def test_a_city_has_its_map_and_its_tables_in_each_report(run, tmp_path):
-    share = {"block": 7, "state": "trained", "gaussians": 5, "trained": 6, "views": 3, "points": 9,
-             "note": ""}
-    border = {"blocks": [0, 1], "pixels": 12,
-              "psnr": 20.0, "elsewhere_psnr": 21.0, "seam_db": 0.5}
+    share = {"block": 7, "state": "trained", "gaussians": 5, "trained": 6, "views": 3, "points": 9, "note": ""}
+    border = {"blocks": [0, 1], "pixels": 12, "psnr": 20.0, "elsewhere_psnr": 21.0, "seam_db": 0.5}
     write_image(run.path / "partition.png", np.zeros((2, 3, 3), np.uint8))
     run.log({"event": "merge", "blocks": [share], "dropped": {}})
     assert headings(write_report(run).read_text())[-1] == "Blocks"

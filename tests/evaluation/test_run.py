@@ -36,8 +36,7 @@ def scene():
 def run(tmp_path, scene):
     """A finished run of gaussians on the sparse points."""
     folder = RunFolder.create(tmp_path / "run")
-    folder.write_options({"scene": CITY, "fingerprint": fingerprint(scene),
-                          **dataclasses.asdict(resolve({}, OPTIONS))})
+    folder.write_options({"scene": CITY, "fingerprint": fingerprint(scene), **dataclasses.asdict(resolve({}, OPTIONS))})
     folder.save_model(Gaussians.from_points(scene.points, scene.colours, 1), scene.offset)
     return Run.open(folder.path)
 
@@ -51,8 +50,13 @@ def test_the_scene_is_as_it_was_trained_on(run, scene):
 
 
 def test_without_held_out_views_the_word_none_is_named(run, scene):
-    run.folder.write_options({"scene": CITY, "fingerprint": fingerprint(scene),
-                              **dataclasses.asdict(resolve({}, {**OPTIONS, "test_every": 0}))})
+    run.folder.write_options(
+        {
+            "scene": CITY,
+            "fingerprint": fingerprint(scene),
+            **dataclasses.asdict(resolve({}, {**OPTIONS, "test_every": 0})),
+        }
+    )
     with pytest.raises(InputError, match=r"no held-out views \(--test-every none\); nothing"):
         evaluate_run(Run.open(run.path), None, save_images=False)
 
@@ -114,8 +118,7 @@ def test_scores_from_aligned_poses_stand_beside_the_others(run, item_device):
     assert score.psnr_aligned != score.psnr and 0 < score.aligned_degrees < 2
     assert 0 < score.aligned_shift < 0.05
     lines = summary(result).splitlines()
-    assert [line.split()[0] for line in lines[2:6]] == ["plain", "colour-corrected", "aligned",
-                                                        "both"]
+    assert [line.split()[0] for line in lines[2:6]] == ["plain", "colour-corrected", "aligned", "both"]
     assert f"{score.psnr_cc_aligned:.2f}" in lines[5] and "degrees" in lines[6]
     small = evaluate_run(run, item_device, False, run.scene().reduced(2))
     assert "aligned" not in summary(small) and small["psnr"] != plain.psnr
@@ -138,8 +141,7 @@ def test_a_run_is_rendered_by_the_cameras_of_any_scene(run, scene, tmp_path, mon
     gaussians, shown, _ = to_render(run.path, tmp_path / "other")
     assert np.array_equal(gaussians.offset, shown.offset)
     model = run.finished_model
-    assert np.allclose(gaussians.positions + gaussians.offset, model.positions + model.offset,
-                       atol=1e-4)
+    assert np.allclose(gaussians.positions + gaussians.offset, model.positions + model.offset, atol=1e-4)
 
 
 def test_a_renderer_draws_as_the_run_was_trained(run, scene, item_device):

@@ -14,8 +14,7 @@ from tests.lock_holder import HOLD, held_elsewhere
 
 def test_another_process_is_refused_and_told_who_locked_it(tmp_path):
     with held_elsewhere(tmp_path) as other:
-        with pytest.raises(LockTaken,
-                           match=rf"process {other} on \S+, since 20\d\d-.*; wait for it"):
+        with pytest.raises(LockTaken, match=rf"process {other} on \S+, since 20\d\d-.*; wait for it"):
             with exclusive(tmp_path):
                 pass
         with pytest.raises(LockTaken):
@@ -26,8 +25,9 @@ def test_another_process_is_refused_and_told_who_locked_it(tmp_path):
 
 
 def test_the_lock_of_a_killed_process_is_free(tmp_path):
-    child = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE,
-                             stdout=subprocess.PIPE, text=True)
+    child = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
     assert child.stdout.readline() == "held\n"
     child.kill()
     child.communicate()
@@ -42,8 +42,13 @@ def test_the_same_process_may_lock_again(tmp_path):
         with exclusive(tmp_path / ".." / tmp_path.name):
             pass
         assert (tmp_path / ".lock.txt").exists()
-        done = subprocess.run([sys.executable, "-c", HOLD, str(tmp_path)], capture_output=True,
-                              text=True, check=False, stdin=subprocess.DEVNULL)
+        done = subprocess.run(
+            [sys.executable, "-c", HOLD, str(tmp_path)],
+            capture_output=True,
+            text=True,
+            check=False,
+            stdin=subprocess.DEVNULL,
+        )
         assert "LockTaken" in done.stderr
 
 

@@ -13,18 +13,21 @@ from clsplat.io.npz import read_npz, read_rows, write_npz
 
 def some_arrays(count):
     rng = np.random.default_rng(0)
-    arrays = {f"array {number}": rng.random((3_000 + number, 5)).astype(np.float32)
-              for number in range(count)}
-    return arrays | {"empty": np.zeros((0, 3)), "number": np.array(7), "text": np.array("four"),
-                     "columns": np.arange(12.0).reshape(4, 3).T, "some": np.arange(9)[::2]}
+    arrays = {f"array {number}": rng.random((3_000 + number, 5)).astype(np.float32) for number in range(count)}
+    return arrays | {
+        "empty": np.zeros((0, 3)),
+        "number": np.array(7),
+        "text": np.array("four"),
+        "columns": np.arange(12.0).reshape(4, 3).T,
+        "some": np.arange(9)[::2],
+    }
 
 
 def test_many_arrays_are_read_at_the_same_time_as_they_were_written(tmp_path, monkeypatch):
     arrays, threads, read = some_arrays(60), set(), npz._read_array
     with open(tmp_path / "arrays.npz", "wb") as file:
         write_npz(file, arrays)
-    monkeypatch.setattr(npz, "_read_array", lambda *args: threads.add(threading.get_ident())
-                        or read(*args))
+    monkeypatch.setattr(npz, "_read_array", lambda *args: threads.add(threading.get_ident()) or read(*args))
     monkeypatch.setattr(npz, "PART_BYTES", 1 << 12)
     for _ in range(20):
         found = read_npz(tmp_path / "arrays.npz")
@@ -40,8 +43,7 @@ def test_the_file_is_what_numpy_writes(monkeypatch):
     monkeypatch.setattr(npz, "PART_BYTES", 1 << 12)
     ours, theirs = io.BytesIO(), io.BytesIO()
     write_npz(ours, some_arrays(3))
-    np.savez(theirs, **{name: np.asarray(values, order="C")
-                        for name, values in some_arrays(3).items()})
+    np.savez(theirs, **{name: np.asarray(values, order="C") for name, values in some_arrays(3).items()})
     assert ours.getvalue() == theirs.getvalue()
 
 

@@ -46,16 +46,24 @@ def test_a_project_of_opensfm(tmp_path):
 
 
 def test_positions_of_dji(tmp_path):
-    (tmp_path / "100_0034_Timestamp.MRK").write_bytes(
-        LINE.format(3, 51.10001, 50).replace("\n", "\r\n").encode())
+    (tmp_path / "100_0034_Timestamp.MRK").write_bytes(LINE.format(3, 51.10001, 50).replace("\n", "\r\n").encode())
     [found], _ = with_mrk([(tmp_path / "100_0034_0003.JPG", AT)])
     assert found.latitude == 51.10001
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"], ids=repr)
 def test_points_in_an_ascii_ply(tmp_path, end):
-    lines = ["ply", "format ascii 1.0", "element vertex 2", "property float x", "property float y",
-             "property float z", "end_header", "1 2 3", "4 5 6.5"]
+    lines = [
+        "ply",
+        "format ascii 1.0",
+        "element vertex 2",
+        "property float x",
+        "property float y",
+        "property float z",
+        "end_header",
+        "1 2 3",
+        "4 5 6.5",
+    ]
     (tmp_path / "a.ply").write_bytes((end.join(lines) + end).encode())
     assert read_vertices(tmp_path / "a.ply")[0]["z"].tolist() == [3, 6.5]
 
@@ -68,10 +76,17 @@ def test_metrics_that_an_editor_saved(tmp_path):
     assert [record["event"] for record in run.records()] == ["plan", "step"]
 
 
-@pytest.mark.parametrize("path, name", [
-    (r"photos\a.png", "photos/a.png"), (r"C:\photos\a.png", "photos/a.png"),
-    (r"..\photos\a.png", "photos/a.png"), ("d:/a.png", "a.png"),
-    (r"\\server\share\a.png", "server/share/a.png"), ("/home/a.png", "home/a.png")])
+@pytest.mark.parametrize(
+    "path, name",
+    [
+        (r"photos\a.png", "photos/a.png"),
+        (r"C:\photos\a.png", "photos/a.png"),
+        (r"..\photos\a.png", "photos/a.png"),
+        ("d:/a.png", "a.png"),
+        (r"\\server\share\a.png", "server/share/a.png"),
+        ("/home/a.png", "home/a.png"),
+    ],
+)
 def test_the_name_of_a_view_leaves_no_folder(tmp_path, path, name):
     """A picture is written under it."""
     assert _photo(tmp_path, path)[0] == name

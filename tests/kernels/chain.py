@@ -33,6 +33,7 @@ def longer_arrays(device, monkeypatch, length, spare):
         made.append(empty(length + spare, dtype))
         made[-1].fill(UNWRITTEN)
         return made[-1].narrow(length)
+
     with monkeypatch.context() as patch:
         patch.setattr(device, "empty", longer)
         yield made
@@ -44,8 +45,15 @@ def upload_rows(device, rows):
 
 def camera_of(case):
     c = case["camera"]
-    return Camera(c["width"], c["height"], (c["fx"], c["fy"]), (c["cx"], c["cy"]),
-                  c["rotation"], c["translation"], orthographic=c.get("orthographic", False))
+    return Camera(
+        c["width"],
+        c["height"],
+        (c["fx"], c["fy"]),
+        (c["cx"], c["cy"]),
+        c["rotation"],
+        c["translation"],
+        orthographic=c.get("orthographic", False),
+    )
 
 
 def size_of(case):
@@ -57,21 +65,26 @@ def stored_degree(case):
 
 
 def renderer_of(device, case, pair_limit=None, **options):
-    renderer = Renderer(device, stored_degree(case), case["near"], background=case["background"],
-                        **options)
+    renderer = Renderer(device, stored_degree(case), case["near"], background=case["background"], **options)
     if pair_limit is not None:
         renderer.most_pairs = lambda *_: pair_limit
     return renderer
 
 
-def render(device, case, rows=None, with_depth=False, exposure=None, features=None,
-           depth_percent=0, **options):
+def render(device, case, rows=None, with_depth=False, exposure=None, features=None, depth_percent=0, **options):
     """(renderer, rows on the device, frame) of a case."""
     renderer = renderer_of(device, case, **options)
     rows = upload_rows(device, case["rows"] if rows is None else rows)
-    frame = renderer.render(rows, renderer.pack(camera_of(case)), *size_of(case), case["degree"],
-                            with_depth, exposure=exposure, depth_percent=depth_percent,
-                            features=None if features is None else device.upload(features))
+    frame = renderer.render(
+        rows,
+        renderer.pack(camera_of(case)),
+        *size_of(case),
+        case["degree"],
+        with_depth,
+        exposure=exposure,
+        depth_percent=depth_percent,
+        features=None if features is None else device.upload(features),
+    )
     return renderer, rows, frame
 
 
@@ -89,7 +102,7 @@ def gradients_by_row(gradients, case):
         result[name] = np.zeros(values.shape)
         seen = gradients.fields[name].download()[:number]
         if name == "sh_rest":  # bands that are not active are not written
-            seen[:, case["degree"] * (case["degree"] + 2):] = 0
+            seen[:, case["degree"] * (case["degree"] + 2) :] = 0
         result[name][visible] = seen
     return result
 
@@ -114,8 +127,7 @@ def reference_of(name, antialiased, **changes):
     order = depth_order(splats)
     fragile = fragile_pixels(splats, order, *size)
     rng = np.random.default_rng(1)
-    cotangents = [np.where(fragile, 0, rng.normal(size=(*channels, *fragile.shape)))
-                  for channels in ((3,), (), ())]
+    cotangents = [np.where(fragile, 0, rng.normal(size=(*channels, *fragile.shape))) for channels in ((3,), (), ())]
     image, _, depth = blend(splats, order, *size, case["background"], with_depth=True)
     by_splat = blend_adjoint(splats, order, *size, case["background"], *cotangents)
     gradients = project_adjoint(case["rows"], *arguments, antialiased=antialiased, grads=by_splat)
@@ -124,14 +136,12 @@ def reference_of(name, antialiased, **changes):
 
 def agrees_with_reference(device, name, antialiased, **changes):
     """Render a case with depth, and back from random cotangents, against the reference."""
-    case, order, image, depth, fragile, cotangents, expected = reference_of(
-        name, antialiased, **changes)
+    case, order, image, depth, fragile, cotangents, expected = reference_of(name, antialiased, **changes)
     renderer, rows, frame = render(device, case, with_depth=True, antialiased=antialiased)
     precision = precision_of(device)
     assert sorted(frame.visible.download()) == sorted(order), f"{name}: visible gaussians"
     close(np.where(fragile, image, frame.image.download()), image, precision, f"{name}: image")
-    close(np.where(fragile, depth, frame.blended.depth.download()), depth, precision,
-          f"{name}: depth")
+    close(np.where(fragile, depth, frame.blended.depth.download()), depth, precision, f"{name}: depth")
     gradients = renderer.adjoint(rows, frame, *map(device.upload, cotangents))
     assert np.array_equal(gradients.rows.download(), frame.visible.download())
     assert renderer.skipped.download()[0] == 0
@@ -145,20 +155,23 @@ def pack_splats(splats, order):
     a, b, c = conics.T
     cutoffs = 2 * np.log(255 * opacities)
     extents = np.sqrt(cutoffs * a / (a * c - b * b))
-    return np.column_stack([
-        splats["means"][order], opacities, cutoffs, conics, extents, splats["colours"][order],
-        splats["depths"][order]])
+    return np.column_stack(
+        [splats["means"][order], opacities, cutoffs, conics, extents, splats["colours"][order], splats["depths"][order]]
+    )
 
 
 def grads_of_sums(sums, conics, channels=3):
     """Gradients by splat (names of the reference) from the adjoint's sums[V, S]."""
     opacities, x, y, xx, xy, yy = sums[:, :6].T
-    depths = sums[:, 6 + max(channels, 2):]
+    depths = sums[:, 6 + max(channels, 2) :]
     a, b, c = conics.T
-    return {"colours": sums[:, 6:6 + channels], "opacities": opacities,
-            "means": np.stack([a * x + b * y, b * x + c * y], axis=1),
-            "conics": -np.stack([xx / 2, xy, yy / 2], axis=1),
-            "depths": depths.sum(axis=1)}
+    return {
+        "colours": sums[:, 6 : 6 + channels],
+        "opacities": opacities,
+        "means": np.stack([a * x + b * y, b * x + c * y], axis=1),
+        "conics": -np.stack([xx / 2, xy, yy / 2], axis=1),
+        "depths": depths.sum(axis=1),
+    }
 
 
 def small_scene(seed=0, count=24, **size):

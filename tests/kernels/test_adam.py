@@ -24,8 +24,10 @@ ENGINES = pytest.mark.parametrize("engine", [DeviceAdam, NumpyAdam])
 
 
 def random_rows(count, rng):
-    return {field.name: rng.normal(size=(count, *field.row_shape(DEGREE))).astype(np.float32)
-            .astype(float) for field in LEARNED}
+    return {
+        field.name: rng.normal(size=(count, *field.row_shape(DEGREE))).astype(np.float32).astype(float)
+        for field in LEARNED
+    }
 
 
 def take_step(engine, rows, gradients, step, rates, used, frozen=None):
@@ -60,8 +62,10 @@ class Run:
             changed = np.setdiff1d(np.arange(self.count), rows[::5])
             changed = changed if frozen is None else changed[~frozen[changed]]
             columns = slice(0, used[name])
-            flat = [a.reshape(self.count, -1)[:, columns] for a in (
-                self.expected[name], spread, self.first[name], self.second[name])]
+            flat = [
+                a.reshape(self.count, -1)[:, columns]
+                for a in (self.expected[name], spread, self.first[name], self.second[name])
+            ]
             results = adam(*flat, self.steps, RATES[name], changed)
             for target, values in zip((self.expected, self.first, self.second), results):
                 target[name].reshape(self.count, -1)[:, columns] = values
@@ -73,9 +77,13 @@ class Run:
         rows[left_out] = NO_ROW
         for name in fields:
             fields[name][::5] = np.nan
-        gradients = Gradients({name: self.device.upload(v) for name, v in fields.items()},
-                              self.device.zeros((seen, 2)), self.device.upload(rows), visible,
-                              new_counts(self.device, seen))
+        gradients = Gradients(
+            {name: self.device.upload(v) for name, v in fields.items()},
+            self.device.zeros((seen, 2)),
+            self.device.upload(rows),
+            visible,
+            new_counts(self.device, seen),
+        )
         self.engine.catch_up(self.rows, self.frozen)
         self.frozen = frozen
         take_step(self.engine, self.rows, gradients, self.steps, RATES, used, frozen)

@@ -1,6 +1,5 @@
 """Frames in bands of tiles: the same bytes as in one piece, back to the gaussians."""
 
-
 import numpy as np
 import pyopencl as cl
 import pyopencl.tools
@@ -20,7 +19,7 @@ SPREAD = "giants"  # 61 x 37 pixels: each gaussian has pairs in most tiles, so i
 def rendered_and_back(device, case, with_depth=True, **options):
     """(frame, gradients) from random cotangents."""
     renderer, rows, frame = render(device, case, with_depth=with_depth, **options)
-    grads = map(device.upload, cotangents(case)[:3 if with_depth else 1])
+    grads = map(device.upload, cotangents(case)[: 3 if with_depth else 1])
     return frame, renderer.adjoint(rows, frame, *grads)
 
 
@@ -32,16 +31,20 @@ def results(device, case, with_depth=True, **options):
     sums = contribution(device, frame, weights)
     drawn = frame.image, frame.exposed, frame.blended.transmittance, sums, gradients.means
     if with_depth:
-        drawn += frame.blended.depth,
-    return frame, [array.download() for array in drawn] + list(
-        gradients_by_row(gradients, case).values())
+        drawn += (frame.blended.depth,)
+    return frame, [array.download() for array in drawn] + list(gradients_by_row(gradients, case).values())
 
 
 def cuts(tiles_x, tiles_y):
     """Ways to cut a frame: name -> the first tiles of the bands."""
     tiles = tiles_x * tiles_y
-    return {"one": [0], "two": [0, tiles // 2 + 1], "a row each": range(0, tiles, tiles_x),
-            "a tile each": range(tiles), "within rows": range(0, tiles, tiles_x + 1)}
+    return {
+        "one": [0],
+        "two": [0, tiles // 2 + 1],
+        "a row each": range(0, tiles, tiles_x),
+        "a tile each": range(tiles),
+        "within rows": range(0, tiles, tiles_x + 1),
+    }
 
 
 @pytest.mark.slow
@@ -68,7 +71,7 @@ def test_a_frame_above_the_limit_is_rendered_in_bands_below_it(device, share):
     counts = count_tiles(device, whole.splats, whole.counts, *whole.size)
     limit = int(share * whole.pairs.count)
     frame, actual = results(device, case, pair_limit=limit)
-    sizes = [counts[band.start:band.stop].sum() for band in frame.bands]
+    sizes = [counts[band.start : band.stop].sum() for band in frame.bands]
     assert max(sizes) <= limit and sum(sizes) == whole.pairs.count
     assert 1 / share < len(frame.bands) < 2 / share + 1
     assert_same(expected, actual)
@@ -104,7 +107,7 @@ def test_bands_are_as_few_as_the_limit_allows(seed):
     for limit in (50, 120, 2000, int(counts.sum())):
         bands = choose_bands(counts, limit)
         assert [tile for band in bands for tile in band] == list(range(200))
-        sizes = [counts[band.start:band.stop].sum() for band in bands]
+        sizes = [counts[band.start : band.stop].sum() for band in bands]
         assert max(sizes) <= limit
         assert all(size + counts[band.stop] > limit for size, band in zip(sizes, bands[:-1]))
 

@@ -40,13 +40,18 @@ def a_view(device, count, seen, seed):
     spread = {name: np.zeros((count, *shape)) for name, shape in SHAPES.items()}
     for name, values in fields.items():
         spread[name][rows] = values
-    broken = rng.permutation(seen)[:seen // 4]
+    broken = rng.permutation(seen)[: seen // 4]
     stays[rows[broken]] = True
     rows[broken] = NO_ROW
     for values in fields.values():
         values[broken] = np.nan
-    gradients = Gradients({name: device.upload(values) for name, values in fields.items()}, None,
-                          device.upload(rows), visible, new_counts(device, seen))
+    gradients = Gradients(
+        {name: device.upload(values) for name, values in fields.items()},
+        None,
+        device.upload(rows),
+        visible,
+        new_counts(device, seen),
+    )
     return gradients, spread, was_seen, stays
 
 
@@ -61,7 +66,8 @@ def test_mean_of_views(device, views, share):
         result = batch_mean(device, count, views, iter(gradients), USED)
         for name in SHAPES:
             visible, moves, mean = reference.batch_mean(
-                np.stack([by_name[name] for by_name in spread]), np.stack(seen), np.stack(stays))
+                np.stack([by_name[name] for by_name in spread]), np.stack(seen), np.stack(stays)
+            )
             values = result.fields[name].download()
             assert values.shape == mean.shape
             close(values[moves], mean[moves], precision_of(device), f"{name} of {count} rows")
@@ -71,14 +77,21 @@ def test_mean_of_views(device, views, share):
 
 def padded(device, gradients, count, spare):
     """The same gradients with `spare` slots past the end, which say something about real rows."""
+
     def longer(array, filling):
         values = array.download()
-        return device.upload(np.concatenate([values, np.resize(filling, (spare, *values.shape[1:]))]
-                                            ).astype(values.dtype))
+        return device.upload(
+            np.concatenate([values, np.resize(filling, (spare, *values.shape[1:]))]).astype(values.dtype)
+        )
+
     rows = np.arange(count)
-    return Gradients({name: longer(values, 5.0) for name, values in gradients.fields.items()}, None,
-                     longer(gradients.rows, rows), longer(gradients.visible, rows),
-                     gradients.counts)
+    return Gradients(
+        {name: longer(values, 5.0) for name, values in gradients.fields.items()},
+        None,
+        longer(gradients.rows, rows),
+        longer(gradients.visible, rows),
+        gradients.counts,
+    )
 
 
 @pytest.mark.oclgrind
@@ -99,8 +112,7 @@ def test_a_room_changes_nothing(device, monkeypatch, more):
     assert np.array_equal(result.visible.download()[:number], exact.visible.download())
     moves = exact.rows.download() != NO_ROW
     for name, values in result.fields.items():
-        assert np.array_equal(values.download()[:number][moves],
-                              exact.fields[name].download()[moves])
+        assert np.array_equal(values.download()[:number][moves], exact.fields[name].download()[moves])
 
 
 def test_a_room_that_is_too_small_fails(device):

@@ -24,8 +24,15 @@ class Binned:
     def __init__(self, device, rows, width, height, order=None, visible=None, **options):
         order = np.arange(len(rows)) if order is None else order
         self.frame_counts = new_counts(device, len(rows) if visible is None else visible)
-        pairs = bin_splats(device, device.upload(rows), self.frame_counts,
-                           device.upload(order.astype(np.uint32)), width, height, **options)
+        pairs = bin_splats(
+            device,
+            device.upload(rows),
+            self.frame_counts,
+            device.upload(order.astype(np.uint32)),
+            width,
+            height,
+            **options,
+        )
         count = int(self.frame_counts.download()[COUNT_PAIRS])
         self.pairs, self.count = pairs, count
         self.counts, self.offsets = pairs.splat_counts.download(), pairs.offsets.download()
@@ -76,10 +83,10 @@ def is_in_order(binned, depth_order=None, what=""):
     # sorted by splat, then by tile: a splat's indices are consecutive
     by_splat = np.argsort(binned.splats, kind="stable")
     seen = np.flatnonzero(binned.counts)
-    expected = [np.arange(count) + first for count, first in zip(
-        binned.counts[seen], binned.offsets[seen])]
-    assert np.array_equal(binned.emission_indices[by_splat],
-                          np.concatenate([np.empty(0), *expected])), f"{what}: emission"
+    expected = [np.arange(count) + first for count, first in zip(binned.counts[seen], binned.offsets[seen])]
+    assert np.array_equal(binned.emission_indices[by_splat], np.concatenate([np.empty(0), *expected])), (
+        f"{what}: emission"
+    )
 
 
 @pytest.mark.oclgrind
@@ -150,7 +157,8 @@ def test_pairs_of_giants_are_dealt_row_by_row(item_device):
     rows = rows_of(300, 200, 150, seed=5)
     usual, with_giants = (
         Binned(Device(item_device.handle, form="group", build_options=options), rows, 200, 150)
-        for options in ((), ("-DGIANT=8",)))
+        for options in ((), ("-DGIANT=8",))
+    )
     assert usual.counts.max() > 64
     assert all(map(np.array_equal, usual.lists, with_giants.lists))
     assert np.array_equal(usual.emission_indices, with_giants.emission_indices)

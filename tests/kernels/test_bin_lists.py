@@ -32,7 +32,7 @@ def shuffled(rows, seed=0, depths=None):
 def specks(count, column, row, seed=0):
     """Splats in the middle of one tile, all of whose pixels they are far from leaving."""
     rows = rows_of(count, 16, 16, seed, sigma=(0.3, 0.5))
-    rows[:, constants.SPLAT_MEAN:constants.SPLAT_MEAN + 2] = 16 * column + 8, 16 * row + 8
+    rows[:, constants.SPLAT_MEAN : constants.SPLAT_MEAN + 2] = 16 * column + 8, 16 * row + 8
     return rows
 
 
@@ -48,8 +48,9 @@ def test_lists_around_the_length_that_is_sorted_at_once(device, small_groups, co
 @pytest.mark.parametrize("count", [3 * RUN, 4 * RUN + 1, 5 * RUN - 1, 9 * RUN + 100])
 def test_longer_lists_are_merged(device, small_groups, count):
     """Several merges, with a last run that is shorter or has no partner; beside other lists."""
-    rows = np.concatenate([specks(count, 2, 0), specks(RUN + 5, 0, 1, seed=1),
-                           rows_of(200, 48, 48, seed=2, sigma=(0.3, 4))])
+    rows = np.concatenate(
+        [specks(count, 2, 0), specks(RUN + 5, 0, 1, seed=1), rows_of(200, 48, 48, seed=2, sigma=(0.3, 4))]
+    )
     rows, order = shuffled(rows, depths=np.linspace(1, 2, 5 * count))
     binned = Binned(device, rows, 48, 48, order)
     is_in_order(binned, order, f"{count} pairs")
@@ -57,8 +58,7 @@ def test_longer_lists_are_merged(device, small_groups, count):
 
 
 def test_the_devices_own_groups_sort_long_lists(device):
-    for count in (1, constants.PER_ITEM) if device.scan_group < 256 else (2047, 2048, 2049, 4096,
-                                                                          5000, 9000):
+    for count in (1, constants.PER_ITEM) if device.scan_group < 256 else (2047, 2048, 2049, 4096, 5000, 9000):
         rows, order = shuffled(specks(count, 0, 1, seed=count))
         binned = Binned(device, rows, 32, 32, order)
         is_in_order(binned, order, f"{count} pairs")
@@ -82,7 +82,7 @@ def test_equal_depths_keep_the_order_of_rows(device, small_groups):
 
 def giants(rows, chosen):
     """The same rows, of which `chosen` are larger than any image."""
-    rows[chosen, constants.SPLAT_CONIC:constants.SPLAT_EXTENT_Y + 1] = 1e-9, 0, 1e-9, 1e5
+    rows[chosen, constants.SPLAT_CONIC : constants.SPLAT_EXTENT_Y + 1] = 1e-9, 0, 1e-9, 1e5
     return rows
 
 
@@ -106,8 +106,15 @@ def test_more_pairs_than_32_bits_count(float_device, monkeypatch):
     count = 2**32 // 512**2 + 4
     rows, order = shuffled(giants(specks(count, 0, 0), range(count)))
     with pytest.raises(TooManyPairs, match="^4294967295 pairs"):
-        bin_splats(float_device, float_device.upload(rows), new_counts(float_device, count),
-                   float_device.upload(order.astype(np.uint32)), size, size, limit=1000)
+        bin_splats(
+            float_device,
+            float_device.upload(rows),
+            new_counts(float_device, count),
+            float_device.upload(order.astype(np.uint32)),
+            size,
+            size,
+            limit=1000,
+        )
 
 
 def in_a_room(device, monkeypatch, rows, order, room, counts=None, size=(61, 37)):
@@ -128,9 +135,9 @@ def test_a_room_that_is_large_enough_changes_nothing(device, monkeypatch, more):
     rows, order = shuffled(rows_of(130, 61, 37))
     exact = Binned(device, rows, 61, 37, order)
     pairs, counts, lists = in_a_room(device, monkeypatch, rows, order, exact.count + more)
-    assert np.array_equal(lists[0][:exact.count], exact.splats)
-    assert np.array_equal(lists[1][:exact.count], exact.emission_indices)
-    assert all((values[exact.count:] == UNWRITTEN).all() for values in lists)
+    assert np.array_equal(lists[0][: exact.count], exact.splats)
+    assert np.array_equal(lists[1][: exact.count], exact.emission_indices)
+    assert all((values[exact.count :] == UNWRITTEN).all() for values in lists)
     assert np.array_equal(pairs.ranges.download(), exact.ranges)
     assert np.array_equal(pairs.offsets.download(), exact.offsets)
     assert counts[constants.COUNT_PAIRS] == counts[constants.COUNT_MOST_PAIRS] == exact.count
@@ -164,5 +171,6 @@ def test_the_sum_of_pairs_has_64_bits(device, monkeypatch):
     counts.write(values)
     for frames in (1, 2):
         found = in_a_room(device, monkeypatch, rows, order, 5000, counts)[1]
-        assert (int(found[low]) + (int(found[low + 1]) << 32)
-                == 5 * 2**32 - 10 + frames * int(found[constants.COUNT_PAIRS]))
+        assert int(found[low]) + (int(found[low + 1]) << 32) == 5 * 2**32 - 10 + frames * int(
+            found[constants.COUNT_PAIRS]
+        )

@@ -21,19 +21,34 @@ BACKGROUND = np.array([0.25, 0.5, 0.875])
 class Blended:
     """Splats blended on a device: image, transmittance, depth, and the adjoint."""
 
-    def __init__(self, device, rows, size, background=BACKGROUND, with_depth=True, smooth=False,
-                 more=(), room=None, features=None):
+    def __init__(
+        self,
+        device,
+        rows,
+        size,
+        background=BACKGROUND,
+        with_depth=True,
+        smooth=False,
+        more=(),
+        room=None,
+        features=None,
+    ):
         self.device, self.with_depth = device, with_depth
         self.defines = blend.blend_defines(with_depth, smooth) + more
         self.background = device.upload(np.asarray(background, float))
         self.splats = device.upload(rows)
         self.pairs = bin_splats(
-            device, self.splats, new_counts(device, len(rows)),
-            device.upload(np.arange(len(rows), dtype=np.uint32)), *size, room=room)
+            device,
+            self.splats,
+            new_counts(device, len(rows)),
+            device.upload(np.arange(len(rows), dtype=np.uint32)),
+            *size,
+            room=room,
+        )
         self.features = features and blend.Features(*map(device.upload, features))
-        self.blended = blend.blend(device, self.splats, self.pairs, *size, self.background,
-                                   self.defines,
-                                   features=self.features)
+        self.blended = blend.blend(
+            device, self.splats, self.pairs, *size, self.background, self.defines, features=self.features
+        )
         self.image = self.blended.image.download()
         self.transmittance = self.blended.transmittance.download()
         self.last_contributor = self.blended.last_contributor.download()
@@ -41,14 +56,22 @@ class Blended:
 
     def adjoint(self, grad_image, grad_depth=None, grad_transmittance=None):
         by_depth, by_transmittance = (
-            self.device.upload(np.zeros(self.depth.shape) if grad is None else grad)
-            if self.with_depth else None for grad in (grad_depth, grad_transmittance))
+            self.device.upload(np.zeros(self.depth.shape) if grad is None else grad) if self.with_depth else None
+            for grad in (grad_depth, grad_transmittance)
+        )
         by_pair = blend.blend_adjoint(
-            self.device, self.splats, self.pairs, self.blended, self.background,
-            self.device.upload(grad_image), by_depth, by_transmittance, self.defines,
-            features=self.features)
-        return sum_pairs(self.device, by_pair, self.pairs.counts,
-                         project_defines(0, False)).download()
+            self.device,
+            self.splats,
+            self.pairs,
+            self.blended,
+            self.background,
+            self.device.upload(grad_image),
+            by_depth,
+            by_transmittance,
+            self.defines,
+            features=self.features,
+        )
+        return sum_pairs(self.device, by_pair, self.pairs.counts, project_defines(0, False)).download()
 
 
 def check(device, splats, order, size, what, with_depth=True, smooth=False):
@@ -57,18 +80,14 @@ def check(device, splats, order, size, what, with_depth=True, smooth=False):
     fragile = reference.fragile_pixels(splats, order, width, height)
     rng = np.random.default_rng(4)
     grad_image = np.where(fragile, 0, rng.normal(size=(3, height, width)))
-    more = [np.where(fragile, 0, rng.normal(size=(height, width)))
-            for _ in range(2 if with_depth else 0)]
-    image, transmittance, depth = reference.blend(
-        splats, order, width, height, BACKGROUND, smooth, with_depth)
-    expected = reference.blend_adjoint(
-        splats, order, width, height, BACKGROUND, grad_image, *more, smooth=smooth)
+    more = [np.where(fragile, 0, rng.normal(size=(height, width))) for _ in range(2 if with_depth else 0)]
+    image, transmittance, depth = reference.blend(splats, order, width, height, BACKGROUND, smooth, with_depth)
+    expected = reference.blend_adjoint(splats, order, width, height, BACKGROUND, grad_image, *more, smooth=smooth)
 
     precision = precision_of(device)
     actual = Blended(device, pack_splats(splats, order), size, BACKGROUND, with_depth, smooth)
     close(np.where(fragile, image, actual.image), image, precision, f"{what}: image")
-    close(np.where(fragile, transmittance, actual.transmittance), transmittance, precision,
-          f"{what}: transmittance")
+    close(np.where(fragile, transmittance, actual.transmittance), transmittance, precision, f"{what}: transmittance")
     if with_depth:
         close(np.where(fragile, depth, actual.depth), depth, precision, f"{what}: depth")
     grads = grads_of_sums(actual.adjoint(grad_image, *more), splats["conics"][order])
@@ -97,8 +116,7 @@ def test_features_of_any_number_of_channels(device, channels, with_depth):
     splats["colours"] = cases.single(rng.normal(size=(60, channels)))
     fragile, precision = reference.fragile_pixels(splats, order, *size), precision_of(device)
     image, transmittance, _ = reference.blend(splats, order, *size, background)
-    grads = [np.where(fragile, 0, rng.normal(size=(*shape, 29, 37)))
-             for shape in ((channels,), *[()] * 2 * with_depth)]
+    grads = [np.where(fragile, 0, rng.normal(size=(*shape, 29, 37))) for shape in ((channels,), *[()] * 2 * with_depth)]
     expected = reference.blend_adjoint(splats, order, *size, background, *grads)
 
     places = rng.permutation(60).astype(np.uint32)
@@ -107,16 +125,14 @@ def test_features_of_any_number_of_channels(device, channels, with_depth):
     rows = pack_splats({**splats, "colours": np.full((60, 3), np.nan)}, order)
     actual = Blended(device, rows, size, background, with_depth, features=(features, places))
     close(np.where(fragile, image, actual.image), image, precision, "image")
-    close(np.where(fragile, transmittance, actual.transmittance), transmittance, precision,
-          "transmittance")
+    close(np.where(fragile, transmittance, actual.transmittance), transmittance, precision, "transmittance")
     sums = grads_of_sums(actual.adjoint(*grads), splats["conics"][order], channels)
     for name in SUM_NAMES if with_depth else SUM_NAMES[:-1]:
         close(sums[name], expected[name][order], precision, f"gradient of {name}")
 
 
 @pytest.mark.oclgrind
-@pytest.mark.parametrize("with_depth, vignetting", [
-    (True, True), pytest.param(False, False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("with_depth, vignetting", [(True, True), pytest.param(False, False, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("size", cases.IMAGE_SIZES, ids=str)
 def test_the_response_of_a_view(device, size, with_depth, vignetting):
     """Its transform after the gain of its lens, beside the image, which stays as it is; those of
@@ -124,17 +140,30 @@ def test_the_response_of_a_view(device, size, with_depth, vignetting):
     rows = pack_splats(*cases.splats(40, *size))
     transforms = cases.single(np.random.default_rng(5).normal(0, 0.5, (3, 3, 4)))
     lenses = cases.single(np.array([[0.5, 0.5, 0.5, 1], [-0.3, 0.2, -0.4, 0.9]]))
-    camera = Camera(*size, (0.9 * size[0], 1.1 * size[0]), (0.45 * size[0], 0.6 * size[1]),
-                    np.eye(3), np.zeros(3))
+    camera = Camera(*size, (0.9 * size[0], 1.1 * size[0]), (0.45 * size[0], 0.6 * size[1]), np.eye(3), np.zeros(3))
     plain = Blended(device, rows, size, with_depth=with_depth)
-    lens = (pack_camera(device, camera, 0.01), device.upload(np.array([0, 1, 0], np.uint32)),
-            device.upload(lenses)) if vignetting else ()
-    drawn = blend.blend(device, plain.splats, plain.pairs, *size, plain.background, plain.defines,
-                        exposure=blend.Exposure(device.upload(transforms.reshape(3, 12)), 1, *lens))
+    lens = (
+        (pack_camera(device, camera, 0.01), device.upload(np.array([0, 1, 0], np.uint32)), device.upload(lenses))
+        if vignetting
+        else ()
+    )
+    drawn = blend.blend(
+        device,
+        plain.splats,
+        plain.pairs,
+        *size,
+        plain.background,
+        plain.defines,
+        exposure=blend.Exposure(device.upload(transforms.reshape(3, 12)), 1, *lens),
+    )
     assert np.array_equal(drawn.image.download(), plain.image)
     own = lenses[1] if vignetting else NO_LENS
-    close(drawn.exposed.download(), apply(transforms[1], plain.image, own, radius(camera, own)),
-          precision_of(device), "exposed")
+    close(
+        drawn.exposed.download(),
+        apply(transforms[1], plain.image, own, radius(camera, own)),
+        precision_of(device),
+        "exposed",
+    )
 
 
 @pytest.mark.parametrize("with_depth, smooth", [(False, False), (True, True)])
@@ -207,8 +236,7 @@ SIZES = [(32, 32, 32), (32, 128, 64), (64, 64, 64), (64, 64, 128)]
 @pytest.mark.parametrize("count", [31, 64, 65, 129])
 @pytest.mark.slow
 @pytest.mark.one_in(6)
-def test_sizes_of_waves_buckets_and_groups(group_device, monkeypatch, wave, bucket, adjoint_group,
-                                           count):
+def test_sizes_of_waves_buckets_and_groups(group_device, monkeypatch, wave, bucket, adjoint_group, count):
     """The last bucket and the last three splats that are summed together are full or not."""
     with_sizes(group_device, monkeypatch, wave, bucket, adjoint_group)
     splats, order = cases.splats(count, 16, 16, seed=count, opacity=(0.006, 0.02), sigma=(2, 30))
@@ -235,8 +263,12 @@ def test_sizes_give_the_same_image(group_device, monkeypatch, wave, bucket, adjo
 def with_sizes(device, monkeypatch, wave, bucket, adjoint_group, tile=16):
     if precision_of(device) == "double" and bucket < 128:
         pytest.skip("double precision: with the sizes that take most local memory")
-    for name, size in {"wave": wave, "bucket": bucket, "tile": tile,
-                       "adjoint_group": min(adjoint_group, tile**2)}.items():
+    for name, size in {
+        "wave": wave,
+        "bucket": bucket,
+        "tile": tile,
+        "adjoint_group": min(adjoint_group, tile**2),
+    }.items():
         monkeypatch.setattr(device, name, size)
 
 
@@ -250,8 +282,7 @@ def test_sub_tiles_that_are_skipped_have_nothing_to_draw(group_device, monkeypat
     monkeypatch.setattr(group_device, "adjoint_group", wave)
     rows = sub_tile_rows(kind)
     cotangent = np.random.default_rng(12).normal(size=(3, 37, 61)), np.ones((37, 61))
-    masked, plain = (Blended(group_device, rows, (61, 37), more=more)
-                     for more in ((), (("SUBTILE_MASK", 0),)))
+    masked, plain = (Blended(group_device, rows, (61, 37), more=more) for more in ((), (("SUBTILE_MASK", 0),)))
     assert np.array_equal(masked.image, plain.image)
     assert np.array_equal(masked.depth, plain.depth)
     assert np.array_equal(masked.last_contributor, plain.last_contributor)
@@ -268,8 +299,7 @@ def sub_tile_rows(kind):
         across = np.stack([-np.sin(angle), np.cos(angle)], 1)
         wide = across[:, :, None] * across[:, None] / 0.6**2
         along = (np.eye(2) - across[:, :, None] * across[:, None]) / 12**2
-        splats["conics"] = cases.single(
-            np.stack([(wide + along)[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))], 1))
+        splats["conics"] = cases.single(np.stack([(wide + along)[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))], 1))
     rows = pack_splats(splats, order)
     if kind == "edges":  # the right, left, lower or upper end at a pixel centre beside an edge
         a, b, c = rows[:, 4:7].T

@@ -20,28 +20,31 @@ COUNT, NEAR_BORDER = 3000, 1e-5  # of a side: whether it is inside may round eit
 def scene_at(offset, unit, views=12):
     """A scene without points; its cameras stand around and look inwards."""
     rng = np.random.default_rng(1)
-    cameras = [Camera.looking_at(rng.normal(0, 0.2, 3), rng.normal(0, 1.5, 3), width=64, height=40,
-                                 degrees=50) for _ in range(views)]
-    scene = Scene("made", tuple(View(f"{number}", camera, b"")
-                                for number, camera in enumerate(cameras)),
-                  np.zeros((1, 3)), np.zeros((1, 3), np.uint8), np.full(3, offset))
+    cameras = [
+        Camera.looking_at(rng.normal(0, 0.2, 3), rng.normal(0, 1.5, 3), width=64, height=40, degrees=50)
+        for _ in range(views)
+    ]
+    scene = Scene(
+        "made",
+        tuple(View(f"{number}", camera, b"") for number, camera in enumerate(cameras)),
+        np.zeros((1, 3)),
+        np.zeros((1, 3), np.uint8),
+        np.full(3, offset),
+    )
     return replace(scene, unit=unit)
 
 
 def region_in(scene, contracted, margin=0.1, unbounded=False):
     """A region of a turned space, in the middle of gaussians that are normal about the origin."""
     turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
-    space = Space(turn, scene.offset + 0.1 * scene.unit, scene.unit * np.array([1.0, 0.7, 2.0]),
-                  contracted)
-    low, high = ((0.3, 0.2, 0.1), (0.6, 0.7, 0.9)) if contracted else (
-        (-0.5, -1.2, -np.inf), (0.4, 0.9, np.inf))
+    space = Space(turn, scene.offset + 0.1 * scene.unit, scene.unit * np.array([1.0, 0.7, 2.0]), contracted)
+    low, high = ((0.3, 0.2, 0.1), (0.6, 0.7, 0.9)) if contracted else ((-0.5, -1.2, -np.inf), (0.4, 0.9, np.inf))
     return Region(space, margin=margin) if unbounded else Region(space, low, high, margin)
 
 
 def gaussians():
     rng = np.random.default_rng(0)
-    return (rng.normal(0, 0.7, (COUNT, 3)).astype(np.float32),
-            rng.normal(-4, 1.0, (COUNT, 3)).astype(np.float32))
+    return (rng.normal(0, 0.7, (COUNT, 3)).astype(np.float32), rng.normal(-4, 1.0, (COUNT, 3)).astype(np.float32))
 
 
 @pytest.mark.oclgrind
@@ -51,13 +54,13 @@ def gaussians():
 def test_what_a_region_reaches(device, contracted, offset, unit, deviations):
     scene = scene_at(offset, unit)
     region, (positions, log_scales) = region_in(scene, contracted), gaussians()
-    lower, expected, higher = (reference.outside(
-        scene, replace(region, margin=region.margin + change), positions, log_scales, deviations)
-        for change in (-NEAR_BORDER, 0, NEAR_BORDER))
+    lower, expected, higher = (
+        reference.outside(scene, replace(region, margin=region.margin + change), positions, log_scales, deviations)
+        for change in (-NEAR_BORDER, 0, NEAR_BORDER)
+    )
     before = (np.arange(COUNT) % 7 == 0).astype(np.uint32)
     outside, sure = device.upload(before), lower == higher
-    note_outside(device, scene, region, device.upload(positions), device.upload(log_scales),
-                 outside, deviations)
+    note_outside(device, scene, region, device.upload(positions), device.upload(log_scales), outside, deviations)
     wanted = (before > 0) | expected
     assert np.array_equal(outside.download()[sure] > 0, wanted[sure]) and sure.mean() > 0.99
     assert 0.1 < expected.mean() < 0.95
@@ -69,8 +72,10 @@ def test_a_spread_that_leads_out_on_one_side_is_enough(device):
     space = Space(np.eye(3), np.zeros(3), np.full(3, 4.0))
     region = Region(space, [-0.5, -0.5, -0.5], [0.5, 0.5, 0.5])
     inner = 0.9  # local: 0.45 in the space, which is 0.05 or 0.1 from the end
-    places = np.array([[inner, 0, 0], [-inner, 0, 0], [0, inner, 0], [0, -inner, 0],
-                       [0, 0, inner], [0, 0, -inner], [0, 0, 0]], np.float32)
+    places = np.array(
+        [[inner, 0, 0], [-inner, 0, 0], [0, inner, 0], [0, -inner, 0], [0, 0, inner], [0, 0, -inner], [0, 0, 0]],
+        np.float32,
+    )
     for scale, expected in ((0.04, 7 * [0]), (0.06, [1, 1, 1, 1, 0, 0, 0])):
         outside = device.zeros(7, np.uint32)
         logs = np.full((7, 3), np.log(scale), np.float32) - np.float32([1, 0, 2])
@@ -103,9 +108,10 @@ def test_sizes_in_views(device, views):
     scene = scene_at(0.0, 1.0, views)
     region, (positions, log_scales) = region_in(scene, False), gaussians()
     reached, found = find_sizes(device, positions, log_scales, scene, region, scene.views)
-    lower, expected, higher = (reference.sizes(
-        scene, region, positions, log_scales, scene.views, reference.SHOWN_DEVIATIONS + change)
-        for change in (-1e-4, 0, 1e-4))
+    lower, expected, higher = (
+        reference.sizes(scene, region, positions, log_scales, scene.views, reference.SHOWN_DEVIATIONS + change)
+        for change in (-1e-4, 0, 1e-4)
+    )
     sure = lower == higher
     assert sure.mean() > 0.99
     close(found[sure], expected[sure], precision_of(device), "sizes")
@@ -116,10 +122,11 @@ def test_sizes_in_views(device, views):
 def test_nothing_before_the_near_plane_is_shown(device):
     scene = scene_at(0.0, 1.0, 1)
     camera, region = scene.views[0].camera, region_in(scene, False)
-    places = [camera.position + depth * scene.near_plane * camera.rotation[2]
-              for depth in (-2.0, 0.5, 2.0)]
+    places = [camera.position + depth * scene.near_plane * camera.rotation[2] for depth in (-2.0, 0.5, 2.0)]
     scene = replace(scene, offset=scene.offset + 100)  # far from the cell
-    _, sizes = find_sizes(device, np.float32(places), np.full((3, 3), -12, np.float32), scene,
-                          region, scene.views)
-    assert sizes.tolist() == [0, 0, pytest.approx(
-        2 * np.exp(-12) * max(camera.focal) / (2 * scene.near_plane), rel=1e-3)]
+    _, sizes = find_sizes(device, np.float32(places), np.full((3, 3), -12, np.float32), scene, region, scene.views)
+    assert sizes.tolist() == [
+        0,
+        0,
+        pytest.approx(2 * np.exp(-12) * max(camera.focal) / (2 * scene.near_plane), rel=1e-3),
+    ]

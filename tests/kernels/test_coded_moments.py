@@ -13,8 +13,9 @@ from tests.reference.adam import coded_step
 
 
 def test_a_code_is_the_nearest_of_its_moments_and_of_what_is_near_them():
-    first, second = (codes.ravel() for codes in np.meshgrid(
-        np.arange(0, 2**16, 7, dtype=np.uint16), np.arange(256, dtype=np.uint8)))
+    first, second = (
+        codes.ravel() for codes in np.meshgrid(np.arange(0, 2**16, 7, dtype=np.uint16), np.arange(256, dtype=np.uint8))
+    )
     m, v = coded_moments(first, second)
     usable = np.isfinite(m) & np.isfinite(v) & (abs(m) < 1e38)
     for found, codes in zip(moment_codes(m[usable], v[usable]), (first, second)):
@@ -37,9 +38,20 @@ class CodedRun:
         rows = np.arange(self.count, dtype=np.uint32) if rows is None else rows
         self.steps += 1
         visible = self.device.upload(rows)
-        take_step(self.engine, self.rows, Gradients(
-            {name: self.device.upload(values[rows]) for name, values in fields.items()}, None,
-            visible, visible, new_counts(self.device, len(rows))), self.steps, RATES, WIDTHS)
+        take_step(
+            self.engine,
+            self.rows,
+            Gradients(
+                {name: self.device.upload(values[rows]) for name, values in fields.items()},
+                None,
+                visible,
+                visible,
+                new_counts(self.device, len(rows)),
+            ),
+            self.steps,
+            RATES,
+            WIDTHS,
+        )
 
 
 @pytest.mark.oclgrind
@@ -98,13 +110,13 @@ def test_coded_steps_lead_to_the_same_place(float_device):
     for engine in (DeviceAdam, CodedAdam):
         run = CodedRun(float_device, engine, 100)
         for _ in range(250):
-            fields = {name: values.download() + run.rng.normal(0, 0.3, values.shape)
-                      for name, values in run.rows.items()}
+            fields = {
+                name: values.download() + run.rng.normal(0, 0.3, values.shape) for name, values in run.rows.items()
+            }
             run.engine.catch_up(run.rows)
             run.step(fields, np.sort(run.rng.permutation(100)[:50]).astype(np.uint32))
         run.engine.catch_up(run.rows)
-        ends.append({name: values.download() - run.start[name]
-                     for name, values in run.rows.items()})
+        ends.append({name: values.download() - run.start[name] for name, values in run.rows.items()})
     for name in RATES:
         moved, difference = np.abs(ends[0][name]).mean(), ends[1][name] - ends[0][name]
         assert np.abs(difference).mean() < 0.05 * moved, name

@@ -57,8 +57,8 @@ def test_a_room_that_is_large_enough(device, monkeypatch, more):
         flags, counts = random_flags(count, seed=1), new_counts(device)
         expected, _ = reference(flags, count)
         written = into_a_room(device, monkeypatch, flags, counts, len(expected) + more)
-        assert np.array_equal(written[:len(expected)], expected), count
-        assert (written[len(expected):] == UNWRITTEN).all(), count
+        assert np.array_equal(written[: len(expected)], expected), count
+        assert (written[len(expected) :] == UNWRITTEN).all(), count
         found = counts.download()
         assert found[COUNT_VISIBLE] == found[COUNT_MOST_VISIBLE] == len(expected)
         assert not found[constants.COUNT_FAILED] and not found[COUNT_NEEDED_VISIBLE]
@@ -75,4 +75,4 @@ def test_a_room_that_is_too_small(device, monkeypatch, fewer):
     found = counts.download()
     assert failed and found[constants.COUNT_FAILED] == 1 and found[COUNT_VISIBLE] == 0
     assert found[COUNT_NEEDED_VISIBLE] == found[COUNT_MOST_VISIBLE] == needed
-    assert (written[needed - fewer:] == UNWRITTEN).all()
+    assert (written[needed - fewer :] == UNWRITTEN).all()

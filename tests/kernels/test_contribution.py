@@ -27,8 +27,7 @@ def a_frame(device, rows, size):
     numbers = device.upload(np.arange(len(rows), dtype=np.uint32))
     counts = new_counts(device, len(rows))
     pairs = bin_splats(device, splats, counts, numbers, width, height)
-    blended = blend(device, splats, pairs, width, height, device.upload(np.zeros(3)),
-                    blend_defines(with_depth=False))
+    blended = blend(device, splats, pairs, width, height, device.upload(np.zeros(3)), blend_defines(with_depth=False))
     return Frame(None, 0, counts, numbers, splats, numbers, pairs, (None,), None, blended, False, 0)
 
 
@@ -90,10 +89,11 @@ def test_rows_are_those_of_the_visible_gaussians(device):
     ones = device.upload(np.ones((height, width)))
     together = contribution(device, frame, ones).download()
     assert len(together) == len(frame.visible) and not np.array_equal(
-        np.argsort(frame.splats.download()[:, SPLAT_DEPTH]), np.arange(len(together)))
+        np.argsort(frame.splats.download()[:, SPLAT_DEPTH]), np.arange(len(together))
+    )
     close(together[:, 2], together[:, 1], precision_of(device), "weights of one")
     for place, row in enumerate(frame.visible.download()):
-        alone = {name: values[row:row + 1] for name, values in case["rows"].items()}
+        alone = {name: values[row : row + 1] for name, values in case["rows"].items()}
         single = contribution(device, render(device, case, alone)[2], ones).download()[0]
         assert together[place, 0] <= single[0] and together[place, 1] <= single[1] * (1 + 1e-6)
         assert single[0] > 1 or place  # the comparison says something

@@ -25,7 +25,7 @@ def check(device, case, what):
     flags, totals = culled(device, case)
     assert np.array_equal(flags.download(), expected), what
     chunk = chunk_size(device, len(expected))
-    sums = [expected[first:first + chunk].sum() for first in range(0, len(expected), chunk)]
+    sums = [expected[first : first + chunk].sum() for first in range(0, len(expected), chunk)]
     assert np.array_equal(totals.download(), sums), what
     return expected
 

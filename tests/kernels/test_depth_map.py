@@ -16,8 +16,9 @@ SIZES = ((1, 1), (7, 5), (127, 9), (128, 9), (129, 9), (5, 130))
 
 
 def run(device, arrays):
-    return tuple(array.download() for array in compare_depth(
-        device, *(device.upload(values) for values in arrays), WEIGHT))
+    return tuple(
+        array.download() for array in compare_depth(device, *(device.upload(values) for values in arrays), WEIGHT)
+    )
 
 
 @pytest.mark.double

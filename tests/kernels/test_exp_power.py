@@ -31,8 +31,7 @@ def exp_errors(device, tmp_path, *defines):
     """Relative errors of the exponential over the powers that blending asks for."""
     file = tmp_path / "exp.cl"
     file.write_text(EXP)
-    kernel = Kernel(str(file), "take_exp", each("count"), count="uint", powers=("real", "N"),
-                    results=("real", "N"))
+    kernel = Kernel(str(file), "take_exp", each("count"), count="uint", powers=("real", "N"), results=("real", "N"))
     powers = np.linspace(-6, 0, 1 << 14).astype(np.float32)
     results = device.empty(len(powers))
     device.launch(kernel, defines, count=len(powers), powers=device.upload(powers), results=results)
@@ -45,9 +44,10 @@ def default_kind(device):
     return 1 if device.capabilities["HAVE_NATIVE_EXP"] else 6
 
 
-@pytest.mark.parametrize("degree, largest", [
-    pytest.param(*item, marks=[pytest.mark.slow] if item[0] < 6 else [])
-    for item in LARGEST_ERROR.items()])
+@pytest.mark.parametrize(
+    "degree, largest",
+    [pytest.param(*item, marks=[pytest.mark.slow] if item[0] < 6 else []) for item in LARGEST_ERROR.items()],
+)
 def test_polynomials_have_the_error_that_they_claim(float_device, tmp_path, degree, largest):
     error = np.abs(exp_errors(float_device, tmp_path, ("EXP_KIND", degree))).max()
     assert 0.9 * largest < error < largest + ROUNDING
@@ -55,5 +55,4 @@ def test_polynomials_have_the_error_that_they_claim(float_device, tmp_path, degr
 
 def test_the_default_is_one_of_them(float_device, tmp_path):
     default = exp_errors(float_device, tmp_path)
-    assert np.array_equal(default, exp_errors(
-        float_device, tmp_path, ("EXP_KIND", default_kind(float_device))))
+    assert np.array_equal(default, exp_errors(float_device, tmp_path, ("EXP_KIND", default_kind(float_device))))

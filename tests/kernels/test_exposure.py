@@ -21,14 +21,12 @@ RATE, PULL, VIEWS = 0.05, 0.3, 3
 LENS_OF = (0, 1, 0, 0, 0)  # of the views
 NAMES = ("transforms", "m", "v", "steps")
 LENS_NAMES = ("lenses", "lens_m", "lens_v", "lens_steps")
-with_parts = pytest.mark.parametrize("parts", [{}, {"vignetting": True}],
-                                     ids=["plain", "vignetting"])
+with_parts = pytest.mark.parametrize("parts", [{}, {"vignetting": True}], ids=["plain", "vignetting"])
 
 
 def camera_of(width, height):
     """One whose optical axis is off the centre, with two focal lengths."""
-    return Camera(width, height, (0.9 * width, 1.1 * width), (0.47 * width, 0.55 * height),
-                  np.eye(3), np.zeros(3))
+    return Camera(width, height, (0.9 * width, 1.1 * width), (0.47 * width, 0.55 * height), np.eye(3), np.zeros(3))
 
 
 class Run:
@@ -39,15 +37,20 @@ class Run:
         away = cases.single(self.rng.normal(0, 0.2, (views, 3, 4)))
         lenses = cases.single(np.column_stack([self.rng.normal(0, 0.3, (2, 3)), [0.8, 1.3]]))
         self.vignetting = vignetting
-        self.exposures = Exposures(device, views, RATE, pull, lenses=Lenses(
-            np.array(LENS_OF[:views]), lenses) if vignetting else None)
+        self.exposures = Exposures(
+            device, views, RATE, pull, lenses=Lenses(np.array(LENS_OF[:views]), lenses) if vignetting else None
+        )
         zero = np.zeros(away.shape)
         self.state = np.eye(3, 4) + away, zero, zero, np.zeros(views, np.uint32)
         self.lens_state = lenses, np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2, np.uint32)
-        self.exposures.upload({
-            **dict(zip(NAMES, (values.reshape(views, -1) for values in self.state))),
-            "steps": self.state[3], "recentred": self.state[0],
-            **dict(zip(LENS_NAMES, self.lens_state))})
+        self.exposures.upload(
+            {
+                **dict(zip(NAMES, (values.reshape(views, -1) for values in self.state))),
+                "steps": self.state[3],
+                "recentred": self.state[0],
+                **dict(zip(LENS_NAMES, self.lens_state)),
+            }
+        )
 
     def of_lens(self, lens):
         """Its vignetting, if it is learned."""
@@ -58,15 +61,13 @@ class Run:
         lens = LENS_OF[view]
         row = self.of_lens(lens)
         u = reference.radius(camera_of(*image.shape[:0:-1]), row)
-        expected, by_transform, by_lens = reference.apply_adjoint(
-            self.state[0][view], image, grad, row, u)
+        expected, by_transform, by_lens = reference.apply_adjoint(self.state[0][view], image, grad, row, u)
         actual = stepped(self.exposures, view, self.device.upload(image), self.device.upload(grad))
         close(actual.download(), expected, precision_of(self.device), "gradient")
         if np.isfinite(by_transform).all():
             self.state = reference.step(*self.state, view, by_transform, RATE, self.pull)
             if self.vignetting:
-                self.lens_state = reference.lens_step(*self.lens_state, lens, by_lens, RATE,
-                                                      self.pull)
+                self.lens_state = reference.lens_step(*self.lens_state, lens, by_lens, RATE, self.pull)
 
     def check(self, what):
         saved = self.exposures.download()
@@ -78,8 +79,7 @@ class Run:
             if expected.dtype == np.uint32:
                 assert np.array_equal(saved[name], expected), what
             else:
-                close(saved[name], expected.reshape(saved[name].shape), precision_of(self.device),
-                      f"{what}: {name}")
+                close(saved[name], expected.reshape(saved[name].shape), precision_of(self.device), f"{what}: {name}")
 
 
 def stepped(exposures, view, image, grad, counts=None):
@@ -128,19 +128,21 @@ def test_poison_leaves_the_row_and_other_pixels_alone(float_device, slot, parts)
         row = run.of_lens(0)
         before = run.exposures.download()
         with np.errstate(all="ignore"):
-            actual = stepped(run.exposures, 0, *(
-                float_device.upload(arrays[name]) for name in ("image", "grad"))).download()
+            actual = stepped(
+                run.exposures, 0, *(float_device.upload(arrays[name]) for name in ("image", "grad"))
+            ).download()
             expected, *sums = reference.apply_adjoint(
-                run.state[0][0], arrays["image"], arrays["grad"], row,
-                reference.radius(camera_of(61, 37), row))
-            usable = all(np.isfinite(np.float32(values)**2).all() for values in sums)
+                run.state[0][0], arrays["image"], arrays["grad"], row, reference.radius(camera_of(61, 37), row)
+            )
+            usable = all(np.isfinite(np.float32(values) ** 2).all() for values in sums)
         after = run.exposures.download()
         assert all(np.isfinite(values).all() for values in after.values()), label
         assert after["steps"].tolist() == [int(usable), 0, 0], label
         assert not parts or after["lens_steps"].tolist() == [int(usable), 0], label
         assert run.exposures.skipped.download()[0] == (not usable), label
-        unchanged = [np.array_equal(after[name], before[name]) for name in before
-                     if name not in ("recentred", "lenses")]
+        unchanged = [
+            np.array_equal(after[name], before[name]) for name in before if name not in ("recentred", "lenses")
+        ]
         assert any(unchanged) != usable, label
         actual[:, 20, 30] = expected[:, 20, 30] = 0
         close(actual, expected, "float", label)
@@ -195,8 +197,7 @@ def test_between_takes_one_photos_colours_to_anothers(device):
         rows = run.exposures.between([(2, 2), (i, j)])
         assert rows.shape == (2, 12) and rows.dtype == device.real
         actual = rows.download()[1].reshape(3, 4)
-        close(actual, reference.between(run.state[0][i], run.state[0][j]),
-              precision_of(device), f"{j} to {i}")
+        close(actual, reference.between(run.state[0][i], run.state[0][j]), precision_of(device), f"{j} to {i}")
         close(reference.apply(actual, seen[j]), seen[i], precision_of(device), "colours")
 
 

@@ -10,15 +10,13 @@ from tests.checks import close
 from tests.kernels.chain import precision_of, upload_rows
 from tests.reference.frequency import scene_frequency as reference
 
-KEYS = [f"{variant}_{axis}" for variant in ("paper", "release", "robust")
-        for axis in ("mean", "max", "min")]
+KEYS = [f"{variant}_{axis}" for variant in ("paper", "release", "robust") for axis in ("mean", "max", "min")]
 MANY = 100_000
 
 
 def a_model(count, seed=0):
     rng = np.random.default_rng([count, seed])
-    return cases.single({"log_scales": rng.normal(-3, 1, (count, 3)),
-                         "opacity_logits": rng.uniform(-5, 5, count)})
+    return cases.single({"log_scales": rng.normal(-3, 1, (count, 3)), "opacity_logits": rng.uniform(-5, 5, count)})
 
 
 def values(device, model):
@@ -62,9 +60,15 @@ def stiff_models():
     one_giant[MANY // 3] = np.log(1e4)
     flat, long = uniform(-1, 1), uniform(-9, -8)
     flat[:, 1], long[:, 2] = np.log(1e-9), np.log(1e4)
-    models = {"any size": uniform(-9, 4), "one giant": one_giant, "discs": flat, "needles": long,
-              "all tiny": np.full((MANY, 3), np.log(1.7e-9)), "all huge": np.full((MANY, 3), 9.1),
-              "far outside": np.sign(uniform(-1, 1)) * 87}
+    models = {
+        "any size": uniform(-9, 4),
+        "one giant": one_giant,
+        "discs": flat,
+        "needles": long,
+        "all tiny": np.full((MANY, 3), np.log(1.7e-9)),
+        "all huge": np.full((MANY, 3), 9.1),
+        "far outside": np.sign(uniform(-1, 1)) * 87,
+    }
     for name, log_scales in models.items():
         yield name, cases.single({"log_scales": log_scales, "opacity_logits": logits})
     # opacities, and even more their squares, below any single precision number
@@ -79,20 +83,26 @@ def test_stiff_models(device, name):
     check(device, STIFF[name], name)
 
 
-@pytest.mark.parametrize("name, slot", [
-    ("log_scales", (0,)), ("log_scales", (1,)), ("log_scales", (2,)), ("opacity_logits", ())])
+@pytest.mark.parametrize(
+    "name, slot", [("log_scales", (0,)), ("log_scales", (1,)), ("log_scales", (2,)), ("opacity_logits", ())]
+)
 def test_poison(device, name, slot):
     model = a_model(40)
-    limits = {"limit": 87.0, "-limit": -87.0, "above_limit": np.nextafter(np.float32(87), 88),
-              "below_limit": np.nextafter(np.float32(-87), -88)}
+    limits = {
+        "limit": 87.0,
+        "-limit": -87.0,
+        "above_limit": np.nextafter(np.float32(87), 88),
+        "below_limit": np.nextafter(np.float32(-87), -88),
+    }
     for label, value in {**cases.POISON, **limits}.items():
         check(device, cases.poisoned(model, name, (5, *slot), value), f"{name}{slot} = {label}")
 
 
 def test_opacity_and_axes_by_hand(device):
     """o = 1/2 and 1/5; sigma = 1, 2, 4 and 8, 2, 2."""
-    measured = values(device, cases.single({
-        "log_scales": np.log([[1, 2, 4], [8, 2, 2]]), "opacity_logits": np.log([1, 0.25])}))
+    measured = values(
+        device, cases.single({"log_scales": np.log([[1, 2, 4], [8, 2, 2]]), "opacity_logits": np.log([1, 0.25])})
+    )
     paper = np.array([16, 40.96])
     paper /= paper.sum()
     omega = np.array([[1.75 / 3, 1.125 / 3], [1, 0.5], [0.25, 0.125]])

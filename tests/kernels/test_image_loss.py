@@ -13,8 +13,25 @@ from tests.reference.image_loss import image_loss as reference
 # one pixel, less than the window, tile (32 x 22) and strip borders and one beside them. The item
 # form's strips have 64 columns and read 10 more on both sides: the last columns alone in a strip or
 # vector, and a strip in the middle that reads to the border (150) and beyond it (149)
-SIZES = ((1, 1), (7, 5), (15, 17), (16, 16), (17, 15), (32, 11), (61, 37), (48, 40), (64, 9),
-         (65, 33), (33, 22), (31, 23), (32, 45), (74, 6), (81, 12), (149, 7), (150, 7))
+SIZES = (
+    (1, 1),
+    (7, 5),
+    (15, 17),
+    (16, 16),
+    (17, 15),
+    (32, 11),
+    (61, 37),
+    (48, 40),
+    (64, 9),
+    (65, 33),
+    (33, 22),
+    (31, 23),
+    (32, 45),
+    (74, 6),
+    (81, 12),
+    (149, 7),
+    (150, 7),
+)
 WEIGHT = 0.2
 
 
@@ -42,8 +59,9 @@ def check(device, render, photo, what, weight=WEIGHT, valid=True):
     # |x - y| has a kink: where the two are as good as equal, its sign is a matter of rounding
     undecided = np.abs(render - photo / 255) < 1e-6
     close(np.array(loss_value(sums, render.size, weight)), [expected, l1, ssim], precision, what)
-    close(np.where(undecided, 0, grad.download()), np.where(undecided, 0, expected_grad),
-          precision, f"{what}: gradient")
+    close(
+        np.where(undecided, 0, grad.download()), np.where(undecided, 0, expected_grad), precision, f"{what}: gradient"
+    )
 
 
 @pytest.mark.double
@@ -68,8 +86,12 @@ def test_nothing_under_a_mask_matters(device):
     for spoilt in (False, True):
         if spoilt:
             render[:, ~valid], photo[:, ~valid] = np.nan, 255 - photo[:, ~valid]
-        results.append([r.download() for r in image_loss(
-            device, device.upload(render), device.upload(masked(photo, valid)), WEIGHT)])
+        results.append(
+            [
+                r.download()
+                for r in image_loss(device, device.upload(render), device.upload(masked(photo, valid)), WEIGHT)
+            ]
+        )
     assert all(np.array_equal(*values) for values in zip(*results))
 
 
@@ -93,10 +115,13 @@ def test_waves_do_not_matter(group_device, monkeypatch, with_mask):
     results = []
     for wave in (32, 64):
         monkeypatch.setattr(group_device, "wave", wave)
-        check(group_device, render, photo, f"waves of {wave}",
-              valid=cases.mask(70, 45) if with_mask else True)
-        results.append([r.download() for r in image_loss(
-            group_device, group_device.upload(render), group_device.upload(given), WEIGHT)])
+        check(group_device, render, photo, f"waves of {wave}", valid=cases.mask(70, 45) if with_mask else True)
+        results.append(
+            [
+                r.download()
+                for r in image_loss(group_device, group_device.upload(render), group_device.upload(given), WEIGHT)
+            ]
+        )
     assert all(np.array_equal(*values) for values in zip(*results))
 
 
@@ -104,16 +129,14 @@ FLAT = [(render, photo) for render in (0.0, 1.0, 1e-20, 0.7, 30.0) for photo in 
 
 
 def flat_pair(render_value, photo_value):
-    return (np.full((3, 19, 23), cases.single(render_value)),
-            np.full((3, 19, 23), photo_value, np.uint8))
+    return (np.full((3, 19, 23), cases.single(render_value)), np.full((3, 19, 23), photo_value, np.uint8))
 
 
 def test_flat_images_in_single_precision(float_device):
     """Of a flat patch's variance, E[x^2] - E[x]^2, rounding leaves up to a thousandth of C2."""
     for values in FLAT[:-2]:
         render, photo = flat_pair(*values)
-        sums, grad = image_loss(
-            float_device, float_device.upload(render), float_device.upload(photo), WEIGHT)
+        sums, grad = image_loss(float_device, float_device.upload(render), float_device.upload(photo), WEIGHT)
         expected, expected_grad, *_ = reference(render, photo / 255, WEIGHT)
         assert abs(loss_value(sums, render.size, WEIGHT)[0] - expected) < 1e-3, values
         assert np.abs(grad.download() - expected_grad).max() * render.size < 0.05, values

@@ -18,17 +18,31 @@ TYPES = GATHER.forms.item.arguments
 @pytest.fixture
 def call(float_device):
     """Launches `gather` with good arguments, some replaced."""
-    good = {"count": 4, "width": 3, "indices": float_device.zeros(4, np.uint32),
-            "rows": float_device.zeros((9, 3)), "result": float_device.zeros((4, 3))}
+    good = {
+        "count": 4,
+        "width": 3,
+        "indices": float_device.zeros(4, np.uint32),
+        "rows": float_device.zeros((9, 3)),
+        "result": float_device.zeros((4, 3)),
+    }
 
     def launch(**changes):
         float_device.launch(GATHER, **{**good, **changes})
+
     return launch
 
 
-@pytest.mark.parametrize("name, shape, dtype", [
-    ("rows", (9, 4), None), ("rows", (9,), None), ("indices", (5,), np.uint32),
-    ("indices", (4,), np.int32), ("result", (4, 3), np.uint32), ("rows", (9, 3), np.float64)])
+@pytest.mark.parametrize(
+    "name, shape, dtype",
+    [
+        ("rows", (9, 4), None),
+        ("rows", (9,), None),
+        ("indices", (5,), np.uint32),
+        ("indices", (4,), np.int32),
+        ("result", (4, 3), np.uint32),
+        ("rows", (9, 3), np.float64),
+    ],
+)
 def test_a_wrong_array_is_named(call, float_device, name, shape, dtype):
     # where lengths disagree, it is the later of the two arguments that does not fit
     blamed = "result" if shape in ((9, 4), (5,)) else name
@@ -52,11 +66,9 @@ def test_swapped_arguments_are_refused(float_device):
 
 def test_wrong_types_and_counts_are_refused(float_device):
     with pytest.raises(DeviceError, match="argument 2"):
-        float_device._build(
-            Kernel("gather.cl", "gather", each("count"), **{**TYPES, "indices": ("real", "N")}), ())
+        float_device._build(Kernel("gather.cl", "gather", each("count"), **{**TYPES, "indices": ("real", "N")}), ())
     with pytest.raises(DeviceError, match="it has 5 arguments, 4 are declared"):
-        float_device._build(
-            Kernel("gather.cl", "gather", each("count"), **dict(list(TYPES.items())[:4])), ())
+        float_device._build(Kernel("gather.cl", "gather", each("count"), **dict(list(TYPES.items())[:4])), ())
 
 
 def test_a_kernel_that_does_not_build_names_its_file(float_device):
@@ -66,8 +78,10 @@ def test_a_kernel_that_does_not_build_names_its_file(float_device):
 
 def test_what_threads_compile_is_launched_or_refused_at_its_launch(float_device, monkeypatch):
     """What does not build only there, and what was cancelled is compiled."""
-    gather, sort = (Kernel("gather.cl", "gather", each("count"), **TYPES),
-                    Kernel("sort.cl", "sort_count", each("count"), count="uint"))
+    gather, sort = (
+        Kernel("gather.cl", "gather", each("count"), **TYPES),
+        Kernel("sort.cl", "sort_count", each("count"), count="uint"),
+    )
     device = Device(float_device.handle, form=float_device.form)
     with ThreadPoolExecutor(1) as threads:
         device.build_ahead([(gather, ()), (gather, ()), (sort, ())], threads)
@@ -93,11 +107,20 @@ def test_what_a_source_does_not_name_compiles_nothing(float_device):
     assert len(float_device._programs) == before + 1
 
 
-@pytest.mark.parametrize("launch, expected", [
-    (items("count"), (7, 1)), (items("count/3 2"), (6, 1)), (items("N/TILE"), (1, 1)),
-    (items("count", "5"), (10, 5)), (groups("count", "SCAN_GROUP"), (7 * 64, 64)),
-    (groups("N 2", "TILE TILE"), (2 * 12 * 256, 256)), (groups("PER_ITEM", "2"), (16, 2)),
-    (items("0"), (0, 1)), (each("count N"), {"item": (8, 1), "group": (96, 32)})])
+@pytest.mark.parametrize(
+    "launch, expected",
+    [
+        (items("count"), (7, 1)),
+        (items("count/3 2"), (6, 1)),
+        (items("N/TILE"), (1, 1)),
+        (items("count", "5"), (10, 5)),
+        (groups("count", "SCAN_GROUP"), (7 * 64, 64)),
+        (groups("N 2", "TILE TILE"), (2 * 12 * 256, 256)),
+        (groups("PER_ITEM", "2"), (16, 2)),
+        (items("0"), (0, 1)),
+        (each("count N"), {"item": (8, 1), "group": (96, 32)}),
+    ],
+)
 def test_launches_have_the_declared_size(float_device, monkeypatch, launch, expected):
     device = float_device
     for name, size in {"scan_group": 64, "group_size": 32, "compute_units": 2, "tile": 16}.items():
@@ -110,8 +133,12 @@ def test_launches_have_the_declared_size(float_device, monkeypatch, launch, expe
 
 
 def test_each_form_has_its_own_launch_and_arguments(float_device):
-    kernel = Kernel("none.cl", "none", Forms(item=items("count", more=("real", "N")),
-                                             group=groups("size", "2", size="uint")), count="uint")
+    kernel = Kernel(
+        "none.cl",
+        "none",
+        Forms(item=items("count", more=("real", "N")), group=groups("size", "2", size="uint")),
+        count="uint",
+    )
     rows = float_device.zeros(3)
     bound = kernel.bind(float_device, {"count": 5, "more": rows, "size": 3})
     assert bound == Forms(item=([5, rows.buffer], 5, 1), group=([5, 3], 6, 2)).of(float_device)
@@ -130,8 +157,12 @@ def test_arrays_check_what_is_written_and_narrowed(float_device):
     rows.write(np.ones((2, 3)), first_row=2)
     assert np.array_equal(rows.download(), [[0] * 3] * 2 + [[1] * 3] * 2)
     assert rows.narrow(2).shape == (2, 3)
-    for wrong in (lambda: rows.write(np.ones((2, 3)), first_row=3), lambda: rows.narrow(5),
-                  lambda: rows.write(np.ones((2, 2))), lambda: rows.reshaped(5, 3)):
+    for wrong in (
+        lambda: rows.write(np.ones((2, 3)), first_row=3),
+        lambda: rows.narrow(5),
+        lambda: rows.write(np.ones((2, 2))),
+        lambda: rows.reshaped(5, 3),
+    ):
         with pytest.raises(ShapeError):
             wrong()
 

@@ -19,17 +19,26 @@ POISONED = 5
 def some_rows(count, seed=0):
     """Gaussians from transparent to opaque, in single precision's numbers."""
     rng = np.random.default_rng(seed)
-    rows = {"positions": rng.normal(size=(count, 3)), "log_scales": rng.normal(-4, 1, (count, 3)),
-            "quaternions": rng.normal(size=(count, 4)),
-            "opacity_logits": rng.uniform(-9, 3, count)}
+    rows = {
+        "positions": rng.normal(size=(count, 3)),
+        "log_scales": rng.normal(-4, 1, (count, 3)),
+        "quaternions": rng.normal(size=(count, 4)),
+        "opacity_logits": rng.uniform(-9, 3, count),
+    }
     return {name: values.astype(np.float32).astype(np.float64) for name, values in rows.items()}
 
 
 def moves(device, rows, amount=AMOUNT, now=NOW, seed=SEED, frozen=None, counts=None):
     """By how much each position changes, float64[N, 3]."""
     on_device = upload_rows(device, rows)
-    add_noise(on_device, amount, now, seed, counts or new_counts(device),
-              None if frozen is None else device.upload(frozen.astype(np.uint32)))
+    add_noise(
+        on_device,
+        amount,
+        now,
+        seed,
+        counts or new_counts(device),
+        None if frozen is None else device.upload(frozen.astype(np.uint32)),
+    )
     return on_device["positions"].download().astype(np.float64) - rows["positions"]
 
 
@@ -42,8 +51,7 @@ def test_against_the_reference(device):
         rows = {**some_rows(count), "positions": np.zeros((count, 3))}
         frozen = np.random.default_rng(1).random(count) < 0.2
         for mask in (None, frozen):
-            expected = reference.noise(rows, AMOUNT, NOW, SEED,
-                                       np.zeros(count, bool) if mask is None else mask)
+            expected = reference.noise(rows, AMOUNT, NOW, SEED, np.zeros(count, bool) if mask is None else mask)
             found = moves(device, rows, frozen=mask)
             close(found, expected, precision_of(device), f"{count} positions")
             if mask is not None:
@@ -62,8 +70,7 @@ def test_every_step_seed_and_row_draws_other_numbers(float_device):
     assert np.array_equal(moves(float_device, few), first[:50])
 
 
-@pytest.mark.parametrize("name, slot", [("log_scales", (1,)), ("quaternions", (2,)),
-                                        ("opacity_logits", ())])
+@pytest.mark.parametrize("name, slot", [("log_scales", (1,)), ("quaternions", (2,)), ("opacity_logits", ())])
 def test_poison_moves_nothing_to_where_it_is_not_finite(float_device, name, slot):
     rows = some_rows(40)
     rows["opacity_logits"][POISONED] = -9

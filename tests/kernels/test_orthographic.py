@@ -19,8 +19,7 @@ def flat(case):
     camera = case["camera"]
     depths = case["rows"]["positions"] @ camera["rotation"][2] + camera["translation"][2]
     scale = float(np.float32(1 / np.median(depths)))
-    case["camera"] = {**camera, "fx": camera["fx"] * scale, "fy": camera["fy"] * scale,
-                      "orthographic": True}
+    case["camera"] = {**camera, "fx": camera["fx"] * scale, "fy": camera["fy"] * scale, "orthographic": True}
     return case
 
 
@@ -33,17 +32,14 @@ def test_image_and_depth_at_a_share_of_the_light(device, name, percent):
     order, size = chain.depth_order(splats), chain.size_of(case)
     fragile = fragile_pixels(splats, order, *size)
     numbered = {**splats, "depths": np.arange(1, len(splats["depths"]) + 1)}
-    image, left, number = blend(numbered, order, *size, case["background"], with_depth=True,
-                                depth_at=percent / 100)
+    image, left, number = blend(numbered, order, *size, case["background"], with_depth=True, depth_at=percent / 100)
     depth = ray_depth(case["rows"], case["camera"], number.astype(int), case["near"])
-    _, _, frame = chain.render(device, case, with_depth=True,
-                               **{**CHOICES, "depth_percent": percent})
+    _, _, frame = chain.render(device, case, with_depth=True, **{**CHOICES, "depth_percent": percent})
     assert sorted(frame.visible.download()) == sorted(order) and len(order) > 5
     precision = chain.precision_of(device)
     close(np.where(fragile, image, frame.image.download()), image, precision, f"{name}: image")
     fragile |= abs(left - percent / 100) < 1e-4  # another splat may be the one at the threshold
-    close(np.where(fragile, depth, frame.blended.depth.download()), depth, precision,
-          f"{name}: depth")
+    close(np.where(fragile, depth, frame.blended.depth.download()), depth, precision, f"{name}: depth")
     assert (frame.blended.transmittance.download() < 0.5).any()
 
 

@@ -18,8 +18,7 @@ COUNT = 5 * PAGE_ROWS + 100  # six pages
 
 def values_of(count, seed):
     rng = np.random.default_rng(seed)
-    return {name: rng.integers(1, 200, (count, *shape)).astype(dtype)
-            for name, (shape, dtype) in WIDTHS.items()}
+    return {name: rng.integers(1, 200, (count, *shape)).astype(dtype) for name, (shape, dtype) in WIDTHS.items()}
 
 
 def pages_of(device, room, count=COUNT):
@@ -43,7 +42,8 @@ def test_rows_near_each_other_share_a_page():
     order = spatial_order(positions)
     assert np.array_equal(np.sort(order), np.arange(len(positions)))
     extents = np.nanmax(positions[order].reshape(16, PAGE_ROWS, 3), axis=1) - np.nanmin(
-        positions[order].reshape(16, PAGE_ROWS, 3), axis=1)
+        positions[order].reshape(16, PAGE_ROWS, 3), axis=1
+    )
     assert np.median(extents.max(axis=1)) < 0.6  # of 1
 
 
@@ -87,8 +87,7 @@ def test_pages_follow_growth(float_device, blocks):
     pages, positions, values = pages_of(float_device, 2)
     rng = np.random.default_rng(3)
     kept = 3 * PAGE_ROWS - 72
-    source = np.concatenate([rng.choice(COUNT, kept, replace=False),
-                             rng.choice(COUNT, 2 * PAGE_ROWS - 48)])
+    source = np.concatenate([rng.choice(COUNT, kept, replace=False), rng.choice(COUNT, 2 * PAGE_ROWS - 48)])
     pages.fetch(wanting(1, 4))
     pages.regrow(source.astype(np.uint32), kept, positions[source], "sh_rest")
     assert pages.pages == 5 and not pages.room
@@ -154,8 +153,11 @@ def test_slots_are_made_anew_where_there_is_memory_for_many_more(float_device):
 def test_pages_that_are_neighbours_travel_together(float_device, monkeypatch, blocks):
     pages, _, values = pages_of(float_device, 6)
     reads, read = [], pages._transfers.read
-    monkeypatch.setattr(pages._transfers, "read", lambda array, first, host: (
-        reads.append((first, len(host))), read(array, first, host)))
+    monkeypatch.setattr(
+        pages._transfers,
+        "read",
+        lambda array, first, host: (reads.append((first, len(host))), read(array, first, host)),
+    )
     pages.fetch(wanting(1, 2, 3, 5))
     pages.note_change()
     assert all(np.array_equal(pages.download(name), values[name]) for name in values)
@@ -208,8 +210,7 @@ def test_a_frame_fails_where_a_page_is_not_there(float_device):
 
 @pytest.mark.parametrize("margin", [0.0, 8.0])
 def test_rows_are_flagged_that_are_seen_once_they_have_caught_up(float_device, margin):
-    """All that `cull` will see, and not many more; fresh rows and stale ones, and some steps later.
-    """
+    """All that `cull` will see, and not many more; fresh rows and stale ones, and some steps later."""
     run, rng = Lazy(float_device, count=900), np.random.default_rng(5)
     for _ in range(CATCH_UP_EVERY // 4):
         run.step()
@@ -222,8 +223,7 @@ def test_rows_are_flagged_that_are_seen_once_they_have_caught_up(float_device, m
     for ahead in (0.02, 0.0), (0.0, 0.1):  # of steps of the largest size
         flags = run.engine.seen(run.rows, camera, run.steps, margin, ahead).download() > 0
         moved = run.current()
-        moved["positions"].write(moved["positions"].download() + rng.choice(
-            (-1, 1), (run.count, 3)) * 7.2 * ahead[0])
+        moved["positions"].write(moved["positions"].download() + rng.choice((-1, 1), (run.count, 3)) * 7.2 * ahead[0])
         moved["log_scales"].write(moved["log_scales"].download() + 7.2 * ahead[1])
         later = cull(float_device, moved, camera, DEFINES)[0].download() > 0
         assert flags[later].all() and (later & ~culled).any()

@@ -13,9 +13,13 @@ from tests.kernels import chain
 
 POISONED = 5
 SLOTS = {
-    "positions": [(0,), (1,), (2,)], "log_scales": [(0,), (2,)],
-    "quaternions": [(0,), (3,)], "opacity_logits": [()],
-    "sh_constant": [(1,)], "sh_rest": [(0, 0), (2, 2)]}
+    "positions": [(0,), (1,), (2,)],
+    "log_scales": [(0,), (2,)],
+    "quaternions": [(0,), (3,)],
+    "opacity_logits": [()],
+    "sh_constant": [(1,)],
+    "sh_rest": [(0, 0), (2, 2)],
+}
 
 
 def scene():
@@ -28,8 +32,7 @@ def survives(device, case, what):
     renderer, rows, frame = chain.render(device, case)
     visible, image = frame.visible.download(), frame.image.download()
     assert np.isfinite(image).all(), f"{what}: the image is not finite"
-    gradients = renderer.adjoint(
-        rows, frame, device.upload(np.random.default_rng(0).normal(size=(3, height, width))))
+    gradients = renderer.adjoint(rows, frame, device.upload(np.random.default_rng(0).normal(size=(3, height, width))))
     active = gradients.rows.download()
     marked = visible[active == NO_ROW]
     assert set(marked) <= {POISONED}, f"{what}: gradients of {marked} are not finite"
@@ -38,7 +41,7 @@ def survives(device, case, what):
     for name, values in gradients.fields.items():
         values = values.download()[active != NO_ROW]
         if name == "sh_rest":
-            values = values[:, :case["degree"] * (case["degree"] + 2)]
+            values = values[:, : case["degree"] * (case["degree"] + 2)]
         with np.errstate(over="ignore"):  # Adam squares it
             assert np.isfinite(values**2).all(), f"{what}: gradient of {name} overflows, not marked"
     return marked
@@ -59,8 +62,7 @@ def test_gradients_whose_squares_overflow_are_marked(float_device):
     case = scene()
     width, height = chain.size_of(case)
     renderer, rows, frame = chain.render(float_device, case)
-    gradients = renderer.adjoint(
-        rows, frame, float_device.upload(np.full((3, height, width), 1e20)))
+    gradients = renderer.adjoint(rows, frame, float_device.upload(np.full((3, height, width), 1e20)))
     marked = gradients.rows.download() == NO_ROW
     opacity = gradients.fields["opacity_logits"].download()
     assert np.isfinite(opacity).all() and (np.abs(opacity[~marked]) < 1e19).all()

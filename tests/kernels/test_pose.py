@@ -81,8 +81,7 @@ def test_the_corrected_camera(device, size):
 
 
 @pytest.mark.double
-@pytest.mark.parametrize("name, antialiased", [("plain", False), ("degree_2", True),
-                                               ("needles", False)])
+@pytest.mark.parametrize("name, antialiased", [("plain", False), ("degree_2", True), ("needles", False)])
 @pytest.mark.one_in(3)
 def test_the_gradient_of_a_render(device, name, antialiased):
     """The reference is checked by finite differences (tests/reference/test_pose.py)."""
@@ -92,30 +91,30 @@ def test_the_gradient_of_a_render(device, name, antialiased):
     splats = project(case["rows"], *arguments, antialiased=antialiased)
     order, rng = chain.depth_order(splats), np.random.default_rng(1)
     fragile = fragile_pixels(splats, order, *chain.size_of(case))
-    cotangents = [np.where(fragile, 0, rng.normal(size=(*channels, *fragile.shape)))
-                  for channels in ((3,), (), ())]
+    cotangents = [np.where(fragile, 0, rng.normal(size=(*channels, *fragile.shape))) for channels in ((3,), (), ())]
     by_splat = blend_adjoint(splats, order, *chain.size_of(case), case["background"], *cotangents)
     expected = reference.terms(case["rows"], *arguments, antialiased, grads=by_splat)
     renderer = chain.renderer_of(device, case, antialiased=antialiased)
     rows = chain.upload_rows(device, case["rows"])
-    frame = renderer.render(rows, renderer.pack(chain.camera_of(case)), *chain.size_of(case),
-                            case["degree"],
-                            True)
-    gradients = renderer.adjoint(rows, frame, *map(device.upload, cotangents), with_pose=True,
-                                 frozen=device.upload(np.ones(len(expected), np.uint32)))
+    frame = renderer.render(rows, renderer.pack(chain.camera_of(case)), *chain.size_of(case), case["degree"], True)
+    gradients = renderer.adjoint(
+        rows,
+        frame,
+        *map(device.upload, cotangents),
+        with_pose=True,
+        frozen=device.upload(np.ones(len(expected), np.uint32)),
+    )
     visible = frame.visible.download()
     actual = gradients.pose_terms.download()
     close(actual[:, :3], expected[visible, :3], chain.precision_of(device), f"{name}: by a turn")
     close(actual[:, 3:], expected[visible, 3:], chain.precision_of(device), f"{name}: by positions")
     plain = renderer.adjoint(rows, frame, *map(device.upload, cotangents))
     assert plain.pose_terms is None
-    assert np.array_equal(plain.fields["positions"].download(),
-                          gradients.fields["positions"].download())
+    assert np.array_equal(plain.fields["positions"].download(), gradients.fields["positions"].download())
 
 
 @pytest.mark.oclgrind
-@pytest.mark.parametrize("count", [0, 1, POSE_BLOCK - 1, POSE_BLOCK, POSE_BLOCK + 1,
-                                   17 * POSE_BLOCK + 3])
+@pytest.mark.parametrize("count", [0, 1, POSE_BLOCK - 1, POSE_BLOCK, POSE_BLOCK + 1, 17 * POSE_BLOCK + 3])
 @pytest.mark.one_in(2)
 def test_steps_by_any_number_of_gaussians(device, count):
     """The array has room for more, whose content does not count."""
@@ -143,9 +142,8 @@ def test_poison_leaves_the_pose_alone(float_device, value):
     poisoned = terms.copy()
     poisoned[7, 4] = value
     with np.errstate(all="ignore"):
-        usable = bool(np.isfinite(np.float32(DEPTH * poisoned[:, 3:].sum(0))**2).all())
-        run.poses.step(1, STEP, run.packed, float_device.upload(poisoned),
-                       new_counts(float_device, 50))
+        usable = bool(np.isfinite(np.float32(DEPTH * poisoned[:, 3:].sum(0)) ** 2).all())
+        run.poses.step(1, STEP, run.packed, float_device.upload(poisoned), new_counts(float_device, 50))
     after = run.poses.download()
     assert all(np.isfinite(values).all() for values in after.values())
     assert run.poses.skipped.download()[0] == (not usable)
@@ -179,8 +177,16 @@ def test_recentring_removes_a_common_motion_and_nothing_else(double_device):
     moved = []
     for camera in cameras:
         rotation = camera.rotation @ turned.T
-        moved.append(Camera(camera.width, camera.height, camera.focal, camera.centre, rotation,
-                            -rotation @ (turned @ camera.position + b)))
+        moved.append(
+            Camera(
+                camera.width,
+                camera.height,
+                camera.focal,
+                camera.centre,
+                rotation,
+                -rotation @ (turned @ camera.position + b),
+            )
+        )
     poses = Poses(double_device, cameras, DEPTH)
 
     def write(corrections):
@@ -194,6 +200,5 @@ def test_recentring_removes_a_common_motion_and_nothing_else(double_device):
     noise = [Correction(*rng.normal(0, 1e-4, (2, 3))) for _ in cameras]
     own = write(noise)
     assert np.allclose(write([Correction(row[:3], DEPTH * row[3:]) for row in own]), own, atol=1e-8)
-    both = write([correction_between(given, n.applied(camera)) for given, n, camera in zip(
-        cameras, noise, moved)])
+    both = write([correction_between(given, n.applied(camera)) for given, n, camera in zip(cameras, noise, moved)])
     assert np.allclose(both, own, atol=2e-5) and np.abs(own).max() > 1e-4

@@ -29,8 +29,12 @@ def one_pair_each(device, sums):
 
 def grads_of_pairs(device, sums, counts, offsets):
     """With or without the sum of the depth channel."""
-    return SplatGrads(device.upload(sums), device.upload(counts), device.upload(offsets),
-                      (("WITH_DEPTH", int(sums.shape[1] > pair_columns(3, False))),))
+    return SplatGrads(
+        device.upload(sums),
+        device.upload(counts),
+        device.upload(offsets),
+        (("WITH_DEPTH", int(sums.shape[1] > pair_columns(3, False))),),
+    )
 
 
 def many_pairs_each(device, first):
@@ -41,16 +45,14 @@ def many_pairs_each(device, first):
     values = np.random.default_rng(4).normal(size=(counts.sum(), first.shape[1]))
     values = values.astype(device.real)
     values[offsets] = first
-    sums = np.array([functools.reduce(np.add, values[begin:begin + count])
-                     for begin, count in zip(offsets, counts)])
+    sums = np.array([functools.reduce(np.add, values[begin : begin + count]) for begin, count in zip(offsets, counts)])
     return grads_of_pairs(device, values, counts, offsets), one_pair_each(device, sums)
 
 
 class Projected:
     """A case through cull, project and its adjoint; everything downloaded, by row."""
 
-    def __init__(self, device, case, antialiased=False, with_depth=True, splat_grads=one_pair_each,
-                 with_pose=False):
+    def __init__(self, device, case, antialiased=False, with_depth=True, splat_grads=one_pair_each, with_pose=False):
         defines = (("SH_REST", case["rows"]["sh_rest"].shape[1]), ("ANTIALIASED", int(antialiased)))
         rows = chain.upload_rows(device, case["rows"])
         camera = pack_camera(device, chain.camera_of(case), case["near"])
@@ -60,12 +62,20 @@ class Projected:
         self.visible = seen.download()
         splats, keys = project(device, rows, seen, counts, camera, case["degree"], defines)
         self.splats, self.keys = splats.download(), keys.download()
-        self.sums = cases.single(np.random.default_rng(3).normal(
-            size=(len(self.visible), 9 + with_depth)))
+        self.sums = cases.single(np.random.default_rng(3).normal(size=(len(self.visible), 9 + with_depth)))
         self.skipped = device.zeros(1, np.uint32)
         gradients = project_adjoint(
-            device, rows, seen, counts, camera, case["degree"], defines,
-            splat_grads(device, self.sums), self.skipped, with_pose=with_pose)
+            device,
+            rows,
+            seen,
+            counts,
+            camera,
+            case["degree"],
+            defines,
+            splat_grads(device, self.sums),
+            self.skipped,
+            with_pose=with_pose,
+        )
         self.pose_terms = gradients.pose_terms.download() if with_pose else None
         self.active, self.grad_means = gradients.rows.download(), gradients.means.download()
         self.gradients = {}
@@ -73,7 +83,7 @@ class Projected:
             self.gradients[name] = np.zeros(values.shape)
             downloaded = gradients.fields[name].download()
             if name == "sh_rest":
-                downloaded[:, case["degree"] * (case["degree"] + 2):] = 0
+                downloaded[:, case["degree"] * (case["degree"] + 2) :] = 0
             self.gradients[name][self.visible] = downloaded
 
 
@@ -85,8 +95,7 @@ def check(device, case, antialiased, what, with_depth=True):
     assert np.array_equal(visible, np.flatnonzero(expected["visible"])), f"{what}: visible"
     conics = expected["conics"][visible]
     close(actual.keys.view(np.float32), expected["depths"][visible], "float", f"{what}: depth keys")
-    parts = {"means": slice(0, 2), "opacities": 2, "cutoffs": 3, "colours": slice(8, 11),
-             "depths": 11}
+    parts = {"means": slice(0, 2), "opacities": 2, "cutoffs": 3, "colours": slice(8, 11), "depths": 11}
     for name, columns in parts.items():
         close(actual.splats[:, columns], expected[name][visible], precision, f"{what}: {name}")
     close(actual.splats[:, 7], expected["extents"][visible, 1], precision, f"{what}: extents")
@@ -95,15 +104,17 @@ def check(device, case, antialiased, what, with_depth=True):
     close(actual.splats[:, 4:7] / size, conics / size, precision, f"{what}: conics")
 
     by_splat = chain.grads_of_sums(actual.sums, conics)
-    grads = {name: np.zeros((len(expected["visible"]), *values.shape[1:]))
-             for name, values in by_splat.items()}
+    grads = {name: np.zeros((len(expected["visible"]), *values.shape[1:])) for name, values in by_splat.items()}
     for name, values in by_splat.items():
         grads[name][visible] = values
     close(actual.grad_means, by_splat["means"], precision, f"{what}: gradient of means")
     chain.close_gradients(
         actual.gradients,
         reference.project_adjoint(case["rows"], *arguments, antialiased=antialiased, grads=grads),
-        case, precision, what)
+        case,
+        precision,
+        what,
+    )
     assert np.array_equal(actual.active, visible) and actual.skipped.download()[0] == 0, what
 
 
@@ -128,6 +139,7 @@ def test_without_the_depth_sum_nothing_flows_to_depth(device):
 
 def test_any_sum_that_is_not_finite_leaves_its_row_and_the_pose_alone(float_device):
     """The sum of each column is infinite of one splat."""
+
     def spoilt(device, sums):
         np.fill_diagonal(sums, np.inf)
         return one_pair_each(device, sums)
@@ -144,9 +156,10 @@ def test_any_sum_that_is_not_finite_leaves_its_row_and_the_pose_alone(float_devi
 def test_sums_over_pairs_are_added_in_their_order(device, with_depth):
     """However many there are, so that the bytes in bands and in one piece are the same."""
     case = cases.gaussians("degree_0", count=70)
-    pairs, sums = (Projected(device, case, False, with_depth,
-                             lambda *made: many_pairs_each(*made)[which])  # noqa: B023
-                   for which in (0, 1))
+    pairs, sums = (
+        Projected(device, case, False, with_depth, lambda *made: many_pairs_each(*made)[which])  # noqa: B023
+        for which in (0, 1)
+    )
     for field, values in pairs.gradients.items():
         assert np.array_equal(values, sums.gradients[field]), field
 
@@ -160,8 +173,14 @@ def test_a_gaussian_that_cannot_be_drawn_has_no_tiles(device):
     defines = (("SH_REST", 3), ("ANTIALIASED", 0))
     counts, seen = new_counts(device, 20), device.upload(np.arange(20, dtype=np.uint32))
     splats, keys = project(
-        device, chain.upload_rows(device, case["rows"]), seen, counts,
-        pack_camera(device, chain.camera_of(case), case["near"]), case["degree"], defines)
+        device,
+        chain.upload_rows(device, case["rows"]),
+        seen,
+        counts,
+        pack_camera(device, chain.camera_of(case), case["near"]),
+        case["degree"],
+        defines,
+    )
     assert np.isfinite(splats.download()).all() and not keys.download()[[3, 5, 7]].any()
     order = stable_sort(device, keys, counts)[1]
     pairs = bin_splats(device, splats, counts, order, *chain.size_of(case))
@@ -188,13 +207,14 @@ def test_slots_past_the_visible_gaussians_are_not_touched(device):
         made.append(empty(shape, dtype))
         made[-1].fill(77)
         return made[-1]
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(device, "empty", noted)
-        gradients = project_adjoint(
-            device, rows, seen, counts, camera, case["degree"], defines, sums, skipped)
+        gradients = project_adjoint(device, rows, seen, counts, camera, case["degree"], defines, sums, skipped)
     assert len(made) == 8 and all((array.download()[number:] == 77).all() for array in made)
     assert np.array_equal(gradients.rows.download()[:number], exact.active)
     assert np.array_equal(gradients.means.download()[:number], exact.grad_means)
     for name, values in gradients.fields.items():
-        assert np.array_equal(values.download()[:number],
-                              exact.gradients[name][exact.visible].astype(device.real)), name
+        assert np.array_equal(values.download()[:number], exact.gradients[name][exact.visible].astype(device.real)), (
+            name
+        )

@@ -19,9 +19,14 @@ def resolved(device, case, seen, numbers):
     orthographic = case["camera"].get("orthographic", False)
     renderer = chain.renderer_of(device, case, orthographic=orthographic)
     depth = device.upload(numbers.astype(np.float64))
-    ray_depth(device, chain.upload_rows(device, case["rows"]),
-              device.upload(seen.astype(np.uint32)), renderer.pack(chain.camera_of(case)), depth,
-              renderer._project_defines)
+    ray_depth(
+        device,
+        chain.upload_rows(device, case["rows"]),
+        device.upload(seen.astype(np.uint32)),
+        renderer.pack(chain.camera_of(case)),
+        depth,
+        renderer._project_defines,
+    )
     return depth.download()
 
 
@@ -62,8 +67,7 @@ def test_what_is_not_finite_has_the_depth_of_its_centre(device):
     case["rows"]["log_scales"][seen[0], 0] = 1e4
     numbers = np.array([[1, 2, 0]])
     found = resolved(device, case, seen, numbers)
-    depths = case["rows"]["positions"] @ case["camera"]["rotation"][2] + (
-        case["camera"]["translation"][2])
+    depths = case["rows"]["positions"] @ case["camera"]["rotation"][2] + (case["camera"]["translation"][2])
     close(found[0, 0], depths[seen[0]], chain.precision_of(device), "centre")
     assert np.isfinite(found).all()
 

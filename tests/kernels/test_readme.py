@@ -11,19 +11,24 @@ def table():
     """A row a kernel: its arrays and its launches, as the module of its family declares them."""
     lines = ["| family | kernel | arrays | item form | group form |", "|---|---|---|---|---|"]
     for family in families(ROOT):
-        home, = homes(ROOT, family.stem)
+        (home,) = homes(ROOT, family.stem)
         module = importlib.import_module(home.removesuffix(".py").replace("/", "."))
         for kernel in vars(module).values():
             if isinstance(kernel, Kernel):
-                arrays = {name: a for form in kernel.forms if form
-                          for name, a in form.arguments.items()
-                          if isinstance(a, tuple)}
-                shown = ", ".join(f"{name} {kind}[{', '.join(map(str, shape))}]"
-                                  + note(kernel, name) for name, (kind, *shape) in arrays.items())
+                arrays = {
+                    name: a
+                    for form in kernel.forms
+                    if form
+                    for name, a in form.arguments.items()
+                    if isinstance(a, tuple)
+                }
+                shown = ", ".join(
+                    f"{name} {kind}[{', '.join(map(str, shape))}]" + note(kernel, name)
+                    for name, (kind, *shape) in arrays.items()
+                )
                 item, group = kernel.launches
                 forms = shape_of(item), "the same" if item == group else shape_of(group)
-                lines.append(f"| {family.stem} | {kernel.function} | {shown} | "
-                             f"{' | '.join(forms)} |")
+                lines.append(f"| {family.stem} | {kernel.function} | {shown} | {' | '.join(forms)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -32,8 +37,7 @@ def note(kernel, name):
     if name in kernel.only:
         return f" ({kernel.only[name]})"
     argument = kernel.arguments.get(name)
-    return (f" ({argument.argument[0]} with {argument.define})"
-            if isinstance(argument, Either) else "")
+    return f" ({argument.argument[0]} with {argument.define})" if isinstance(argument, Either) else ""
 
 
 def shape_of(launch):
@@ -51,9 +55,13 @@ def test_the_page_lists_every_kernel():
 
 
 def test_lines_are_as_short_as_those_that_ruff_measures():
-    assert not [f"{path.name}: {line}" for path in (ROOT / "cl").rglob("*")
-                if path.suffix in (".cl", ".h")
-                for line in path.read_text("utf-8").splitlines() if len(line) > 100]
+    assert not [
+        f"{path.name}: {line}"
+        for path in (ROOT / "cl").rglob("*")
+        if path.suffix in (".cl", ".h")
+        for line in path.read_text("utf-8").splitlines()
+        if len(line) > 100
+    ]
 
 
 if __name__ == "__main__":

@@ -28,18 +28,26 @@ def test_against_the_reference(device, spare):
         marked = rng.random(slots) < 0.2
         rows = np.where(marked, NO_ROW, visible).astype(np.uint32)
         before = {"opacity_logits": np.zeros(slots), "log_scales": np.zeros((slots, 3))}
-        gradients = Gradients({name: device.upload(values) for name, values in before.items()},
-                              None, device.upload(rows), device.upload(visible),
-                              new_counts(device, seen))
-        expected = reference.regularise(
-            logits[visible[:seen]].astype(np.float64),
-            log_scales[visible[:seen]].astype(np.float64), *WEIGHTS) if seen else ((), ())
+        gradients = Gradients(
+            {name: device.upload(values) for name, values in before.items()},
+            None,
+            device.upload(rows),
+            device.upload(visible),
+            new_counts(device, seen),
+        )
+        expected = (
+            reference.regularise(
+                logits[visible[:seen]].astype(np.float64), log_scales[visible[:seen]].astype(np.float64), *WEIGHTS
+            )
+            if seen
+            else ((), ())
+        )
         for times in (1, 2):
-            regularise({"opacity_logits": device.upload(logits),
-                        "log_scales": device.upload(log_scales)}, gradients, *WEIGHTS)
+            regularise(
+                {"opacity_logits": device.upload(logits), "log_scales": device.upload(log_scales)}, gradients, *WEIGHTS
+            )
             for name, of_seen in zip(before, expected):
                 grads = before[name].copy()
                 grads[:seen] = times * np.asarray(of_seen).reshape(grads[:seen].shape)
                 grads[marked] = 0
-                close(gradients.fields[name].download(), grads, precision_of(device),
-                      f"{name} of {seen}")
+                close(gradients.fields[name].download(), grads, precision_of(device), f"{name} of {seen}")

@@ -24,24 +24,28 @@ class Rendered:
         with pytest.MonkeyPatch.context() as patch:
             if room:
                 patch.setattr(Array, "download", None)
-            self.frame = frame = renderer.render(
-                rows, camera, *size_of(case), case["degree"], True, room, counts)
+            self.frame = frame = renderer.render(rows, camera, *size_of(case), case["degree"], True, room, counts)
             gradients = renderer.adjoint(rows, frame, *grads)
             sums = contribution(device, frame, weights)
         self.counts = frame.counts.download()
         self.number = number = self.counts[constants.COUNT_VISIBLE]
         self.visible = frame.visible.download()[:number]
         self.rows = gradients.rows.download()[:number]
-        self.arrays = [frame.image.download(), frame.blended.depth.download(),
-                       frame.blended.transmittance.download(), sums.download()[:number],
-                       gradients.means.download()[:number], self.visible, self.rows,
-                       *gradients_by_row(gradients, case).values()]
+        self.arrays = [
+            frame.image.download(),
+            frame.blended.depth.download(),
+            frame.blended.transmittance.download(),
+            sums.download()[:number],
+            gradients.means.download()[:number],
+            self.visible,
+            self.rows,
+            *gradients_by_row(gradients, case).values(),
+        ]
         self.skipped = renderer.skipped.download()[0]
 
     def room(self, visible=0, pairs=0, **bands):
         """That of this frame, with more or fewer slots."""
-        return Room(len(self.frame.visible) + visible,
-                    int(self.counts[constants.COUNT_PAIRS]) + pairs, **bands)
+        return Room(len(self.frame.visible) + visible, int(self.counts[constants.COUNT_PAIRS]) + pairs, **bands)
 
 
 @pytest.mark.slow
@@ -82,15 +86,22 @@ def test_bands_with_a_room(device, more):
     assert roomy.counts[constants.COUNT_SUM_PAIRS] == 3 * whole.counts[constants.COUNT_PAIRS]
 
 
-@pytest.mark.parametrize("visible, pairs, what", [
-    (-1, 0, constants.COUNT_NEEDED_VISIBLE), (0, -1, constants.COUNT_NEEDED_PAIRS),
-    (-50, -300, constants.COUNT_NEEDED_VISIBLE)])
+@pytest.mark.parametrize(
+    "visible, pairs, what",
+    [
+        (-1, 0, constants.COUNT_NEEDED_VISIBLE),
+        (0, -1, constants.COUNT_NEEDED_PAIRS),
+        (-50, -300, constants.COUNT_NEEDED_VISIBLE),
+    ],
+)
 def test_a_room_that_is_too_small_fails(device, visible, pairs, what):
     """The frame sees nothing, shows the background, and says what it would have needed."""
     case = cases.gaussians("degree_1", count=200)
     exact = Rendered(device, case)
-    needed = {constants.COUNT_NEEDED_VISIBLE: exact.number,
-              constants.COUNT_NEEDED_PAIRS: exact.counts[constants.COUNT_PAIRS]}
+    needed = {
+        constants.COUNT_NEEDED_VISIBLE: exact.number,
+        constants.COUNT_NEEDED_PAIRS: exact.counts[constants.COUNT_PAIRS],
+    }
     failed = Rendered(device, case, exact.room(visible, pairs))
     assert failed.counts[constants.COUNT_FAILED] == 1 and failed.counts[what] == needed[what]
     assert failed.number == failed.counts[constants.COUNT_PAIRS] == failed.skipped == 0

@@ -44,8 +44,7 @@ def test_keypoints_are_those_of_the_reference(device, size):
     if device.real == np.float64:
         assert np.array_equal(places, at) and np.abs(rows - wanted).max(initial=0) < 1e-8
         return
-    ours, theirs = ({tuple(place): row for place, row in zip(*both)}
-                    for both in ((places, rows), (at, wanted)))
+    ours, theirs = ({tuple(place): row for place, row in zip(*both)} for both in ((places, rows), (at, wanted)))
     same = ours.keys() & theirs.keys()
     assert len(same) >= 0.98 * max(len(ours), len(theirs))  # others are as weak as the limit
     assert all(np.abs(ours[place] - theirs[place]).max() < 1e-3 for place in same)
@@ -96,6 +95,5 @@ def test_there_is_room_for_more_keypoints_than_expected(device, monkeypatch):
 @pytest.mark.parametrize("value", [0, 130, 255])
 def test_photos_without_detail_or_too_small_have_no_features(device, value):
     for size in ((40, 24), (7, 30), (1, 1)):
-        keypoints, descriptors = Sift(device, ALL).features(
-            np.full((size[1], size[0], 3), value, np.uint8), *size)
+        keypoints, descriptors = Sift(device, ALL).features(np.full((size[1], size[0], 3), value, np.uint8), *size)
         assert keypoints.shape == (0, 4) and descriptors.shape == (0, 128)

@@ -20,8 +20,7 @@ ALL = range(len(BRICKS))
 def a_view(width=29, height=21, seed=0, away=0.0):
     """A camera that looks at the bricks from 9 units, and the planes of what it sees."""
     rng = np.random.default_rng(seed)
-    camera = Camera.looking_at((0.5, 2, 1), (1 + away, 2, 10), up=(0, 1, 0), width=width,
-                               height=height, degrees=40)
+    camera = Camera.looking_at((0.5, 2, 1), (1 + away, 2, 10), up=(0, 1, 0), width=width, height=height, degrees=40)
     y, x = np.mgrid[:height, :width]
     depth = 8.5 + 0.05 * x - 0.03 * y + rng.uniform(0, 0.1, (height, width))
     depth[:, width // 2] += 1  # a silhouette
@@ -42,9 +41,15 @@ def added(device, views, chosen=ALL):
 
 def expected(views, chosen=ALL, moved=0.0):
     """Those of the reference, with the principal points moved by so many pixels."""
-    return reference(BRICKS, VOXEL, TRUNCATION, [
-        (chosen, camera.rotation, camera.translation, camera.focal, np.add(camera.centre, moved),
-         NEAR, *planes) for camera, planes in views])
+    return reference(
+        BRICKS,
+        VOXEL,
+        TRUNCATION,
+        [
+            (chosen, camera.rotation, camera.translation, camera.focal, np.add(camera.centre, moved), NEAR, *planes)
+            for camera, planes in views
+        ],
+    )
 
 
 def two_views(size):

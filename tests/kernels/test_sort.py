@@ -21,8 +21,7 @@ def check(device, keys, room=None):
     """Also of a room, whose further keys are not sorted and whose further slots are not written."""
     count, order = len(keys), sort_order(keys)
     in_room = np.append(keys, np.zeros((room or count) - count, np.uint32))
-    sorted_keys, permutation = stable_sort(device, device.upload(in_room),
-                                           new_counts(device, count))
+    sorted_keys, permutation = stable_sort(device, device.upload(in_room), new_counts(device, count))
     assert len(sorted_keys) == len(permutation) == len(in_room)
     assert np.array_equal(sorted_keys.download()[:count], keys[order]), count
     assert np.array_equal(permutation.download()[:count], order), count
@@ -65,6 +64,7 @@ def test_slots_past_the_end_are_not_written(device, monkeypatch):
         made.append(empty(shape, dtype))
         made[-1].fill(77)
         return made[-1]
+
     counts, keys = new_counts(device, 100), device.upload(random_keys(150))
     monkeypatch.setattr(device, "empty", filled)
     for array in stable_sort(device, keys, counts):

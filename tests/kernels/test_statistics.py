@@ -30,12 +30,17 @@ class Views:
         case = {**self.case, "camera": cases.gaussians(self.name, **size)["camera"]}
         width, height = size_of(case)
         grad = np.random.default_rng(seed).normal(size=(3, height, width))
-        grad[:, :int(spoilt * height)] = np.nan
-        frame = self.renderer.render(self.rows, self.renderer.pack(camera_of(case)), width, height,
-                                     case["degree"], room=room, counts=counts)
+        grad[:, : int(spoilt * height)] = np.nan
+        frame = self.renderer.render(
+            self.rows, self.renderer.pack(camera_of(case)), width, height, case["degree"], room=room, counts=counts
+        )
         gradients = self.renderer.adjoint(
-            self.rows, frame, self.device.upload(grad), statistics=self.statistics.sums,
-            frozen=None if frozen is None else self.device.upload(frozen.astype(np.uint32)))
+            self.rows,
+            frame,
+            self.device.upload(grad),
+            statistics=self.statistics.sums,
+            frozen=None if frozen is None else self.device.upload(frozen.astype(np.uint32)),
+        )
         number = gradients.counts.download()[COUNT_VISIBLE]
         rows = gradients.rows.download()[:number]
         means = gradients.means.download()[:number]
@@ -68,8 +73,12 @@ def test_sums_over_views(device):
 def test_what_is_not_finite_or_frozen_does_not_count(device):
     views = Views(device, 200)
     frozen = np.arange(200) % 3 == 0
-    whole, *others = (views.see(1), views.see(2, spoilt=0.4), views.see(3, frozen=frozen),
-                      views.see(4, frozen=frozen, spoilt=0.4))
+    whole, *others = (
+        views.see(1),
+        views.see(2, spoilt=0.4),
+        views.see(3, frozen=frozen),
+        views.see(4, frozen=frozen, spoilt=0.4),
+    )
     left_out = [(gradients.rows.download() == NO_ROW).sum() for gradients in (whole, *others)]
     assert left_out[0] == 0 < min(left_out[1:3]) and max(left_out[1:3]) < left_out[3]
     views.check()

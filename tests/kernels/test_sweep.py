@@ -23,25 +23,23 @@ def cameras_of(sizes):
     result = []
     for number, (width, height) in enumerate(sizes):
         turn = np.deg2rad(1.5 * number)
-        rotation = np.array([[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0],
-                             [np.sin(turn), 0, np.cos(turn)]])
+        rotation = np.array([[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]])
         position = np.array([0.35, 0.2 * (-1) ** number, 0.02]) * number
-        result.append(Camera(width, height, (40.0, 41.0), (width / 2, height / 2), rotation,
-                             -rotation @ position))
+        result.append(Camera(width, height, (40.0, 41.0), (width / 2, height / 2), rotation, -rotation @ position))
     return result
 
 
 def photo_of(camera, slant=0.1):
     """[h, w]: waves on the plane z = DEPTH + slant x, seen by a camera, and the depths."""
-    y, x = np.mgrid[:camera.height, :camera.width] + 0.5
-    rays = np.stack([(x - camera.centre[0]) / camera.focal[0],
-                     (y - camera.centre[1]) / camera.focal[1], np.ones(x.shape)], -1)
+    y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = np.stack(
+        [(x - camera.centre[0]) / camera.focal[0], (y - camera.centre[1]) / camera.focal[1], np.ones(x.shape)], -1
+    )
     rays = rays @ camera.rotation
     start = camera.position
     along = (DEPTH + slant * start[0] - start[2]) / (rays[..., 2] - slant * rays[..., 0])
     u, v, _ = np.moveaxis(start + along[..., None] * rays, -1, 0)
-    waves = (np.sin(7 * u + 3 * v) + np.sin(11 * v - 4 * u + 1) + np.sin(5 * u * v)
-             + 0.3 * np.sin(23 * u - 17 * v))
+    waves = np.sin(7 * u + 3 * v) + np.sin(11 * v - 4 * u + 1) + np.sin(5 * u * v) + 0.3 * np.sin(23 * u - 17 * v)
     return 0.5 + 0.12 * waves, along
 
 
@@ -62,10 +60,11 @@ def expected(photos, cameras, between=BETWEEN, planes=PLANES):
     width, height = np.max(sizes, axis=0)
     images = np.full((len(photos), height, width), np.nan)
     for image, photo in zip(images, photos):
-        image[:photo.shape[0], :photo.shape[1]] = photo
+        image[: photo.shape[0], : photo.shape[1]] = photo
     warps = np.array([plane_warp(cameras[0], camera) for camera in cameras[1:]])
-    return reference(images, sizes, range(1, len(photos)), warps, between[0],
-                     (between[1] - between[0]) / (planes - 1), planes)
+    return reference(
+        images, sizes, range(1, len(photos)), warps, between[0], (between[1] - between[0]) / (planes - 1), planes
+    )
 
 
 def agrees(device, photos, cameras, planes=PLANES):
@@ -86,10 +85,16 @@ def test_depths_and_scores(device, size):
     agrees(device, photos, cameras)
 
 
-@pytest.mark.parametrize("sizes, planes", [
-    (((31, 17), (24, 20), (28, 9), (31, 20), (9, 20)), PLANES), (3 * ((25, 20),), 3),
-    (((25, 20), (25, 20), (9, 11)), PLANES), (2 * ((25, 20),), PLANES)],
-    ids=["of different sizes", "three planes", "beyond the border", "one source"])
+@pytest.mark.parametrize(
+    "sizes, planes",
+    [
+        (((31, 17), (24, 20), (28, 9), (31, 20), (9, 20)), PLANES),
+        (3 * ((25, 20),), 3),
+        (((25, 20), (25, 20), (9, 11)), PLANES),
+        (2 * ((25, 20),), PLANES),
+    ],
+    ids=["of different sizes", "three planes", "beyond the border", "one source"],
+)
 def test_other_photos_and_planes(float_device, sizes, planes):
     photos, cameras = an_input(sizes)
     _, scores = agrees(float_device, photos, cameras, planes)
@@ -100,11 +105,9 @@ def test_other_photos_and_planes(float_device, sizes, planes):
 def test_pixels_that_do_not_count_in_larger_sources(float_device):
     """The sweep steps over some of them, and the fine planes do not."""
     photos, cameras = an_input(3 * [(25, 20)])
-    large = [replace(camera, width=75, height=60, focal=(120.0, 123.0), centre=(37.5, 30.0))
-             for camera in cameras[1:]]
+    large = [replace(camera, width=75, height=60, focal=(120.0, 123.0), centre=(37.5, 30.0)) for camera in cameras[1:]]
     hidden = np.random.default_rng(0).random((2, 60, 75)) < 0.02
-    sources = [np.where(mask, np.nan, photo_of(camera)[0].astype(np.float32))
-               for camera, mask in zip(large, hidden)]
+    sources = [np.where(mask, np.nan, photo_of(camera)[0].astype(np.float32)) for camera, mask in zip(large, hidden)]
     agrees(float_device, [photos[0], *sources], [cameras[0], *large])
 
 
@@ -127,8 +130,10 @@ def test_what_has_no_depth(float_device):
     inner = np.zeros((20, 25), bool)
     inner[3:-3, 3:-3] = True
     assert not depths[~inner].any() and depths[inner].any()
-    ahead = [cameras[0], *(replace(camera, translation=camera.translation - [0, 0, 20])
-                           for camera in cameras[1:])]  # the planes are behind them
+    ahead = [
+        cameras[0],
+        *(replace(camera, translation=camera.translation - [0, 0, 20]) for camera in cameras[1:]),
+    ]  # the planes are behind them
     assert not run(float_device, photos, ahead)[0].any()
     photos_of_plane, four = an_input(4 * [(64, 48)])
     for between in ((1 / 4.5, 1 / 3), (1 / 9, 1 / 6)):  # the plane lies beyond them
@@ -174,8 +179,9 @@ def confirmed(device, depths, cameras, sources, reference=0):
 
 
 @pytest.mark.oclgrind
-@pytest.mark.parametrize("sizes", [3 * [(9, 7)], [(23, 11), (20, 13), (15, 11), (23, 13), (9, 9)]],
-                         ids=["of one size", "of different sizes"])
+@pytest.mark.parametrize(
+    "sizes", [3 * [(9, 7)], [(23, 11), (20, 13), (15, 11), (23, 13), (9, 9)]], ids=["of one size", "of different sizes"]
+)
 def test_sources_confirm_depths_that_they_share(device, sizes):
     """Depths of a plane, of which some are wrong by about the difference that counts."""
     cameras, rng = cameras_of(sizes), np.random.default_rng(0)
@@ -192,8 +198,9 @@ def test_sources_confirm_depths_that_they_share(device, sizes):
     clear = margin > (1e-9 if device.real == np.float64 else 1e-4)
     assert np.array_equal(counts[:height, :width][clear], wanted[clear])
     assert clear.mean() > 0.9 and {0, 1, 2} <= {*wanted.ravel()}
-    again = confirmed(device, depths[::-1], cameras[::-1],
-                      [len(sizes) - 1 - source for source in sources], len(sizes) - 1)
+    again = confirmed(
+        device, depths[::-1], cameras[::-1], [len(sizes) - 1 - source for source in sources], len(sizes) - 1
+    )
     assert np.array_equal(again, counts)
 
 

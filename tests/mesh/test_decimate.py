@@ -10,8 +10,7 @@ from clsplat.mesh.decimate import decimated, edges_of
 def surface_of(distance):
     """Vertices, colours, triangles and no kept ones of the surface of a volume [X, Y, Z]."""
     vertices, triangles, *_ = skimage.measure.marching_cubes(distance, 0)
-    return (vertices.astype(float), np.full(vertices.shape, 90.0), triangles,
-            np.zeros(len(vertices), bool))
+    return (vertices.astype(float), np.full(vertices.shape, 90.0), triangles, np.zeros(len(vertices), bool))
 
 
 def box(side=44, low=6.3, high=37.6):
@@ -73,17 +72,18 @@ def test_colours_stay_apart():
     found, tinted, fewer, _ = decimated(vertices, colours, triangles, keep)
     assert set(np.unique(tinted)) == {90, 200} and len(fewer) > len(plain[2])
     assert ((found[:, 0] > 20.2) == (tinted[:, 0] == 200)).all()
-    assert not decimated(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), int),
-                         np.zeros(0, bool))[2].size
+    assert not decimated(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros(0, bool))[2].size
 
 
 def test_a_flat_sheet_is_not_folded_and_gets_no_holes():
     """Exactly flat, so that large cells become one, beside a border that stays."""
     x, y, z = np.indices((70, 70, 8))
-    vertices, triangles, *_ = skimage.measure.marching_cubes((z - 3.0002 + 1e-3 * np.sin(
-        7.0 * x + 3 * y)).astype(np.float32), 0)
-    found, _, fewer, _ = decimated(vertices.astype(float), np.full(vertices.shape, 90.0), triangles,
-                                   np.zeros(len(vertices), bool))
+    vertices, triangles, *_ = skimage.measure.marching_cubes(
+        (z - 3.0002 + 1e-3 * np.sin(7.0 * x + 3 * y)).astype(np.float32), 0
+    )
+    found, _, fewer, _ = decimated(
+        vertices.astype(float), np.full(vertices.shape, 90.0), triangles, np.zeros(len(vertices), bool)
+    )
     assert len(fewer) < 0.3 * len(triangles)
     corners = found[fewer]
     up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] / 2

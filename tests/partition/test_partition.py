@@ -30,11 +30,14 @@ def test_every_place_has_one_owner(method, seed):
     scene = field(seed, cameras=30, points=900)
     partition = cut(scene, method, tuple(rng.integers(1, 5, 2).tolist()))
     space = partition.space
-    borders = [np.where(np.isinf(end), 0.5, end) for region in partition.regions
-               for end in (region.low, region.high)]
-    points = np.concatenate([
-        world(scene), rng.normal(0, 10.0 ** rng.uniform(-2, 12, (2000, 1)), (2000, 3)),
-        space.world(np.concatenate([borders, rng.permutation(borders, axis=1)]))])
+    borders = [np.where(np.isinf(end), 0.5, end) for region in partition.regions for end in (region.low, region.high)]
+    points = np.concatenate(
+        [
+            world(scene),
+            rng.normal(0, 10.0 ** rng.uniform(-2, 12, (2000, 1)), (2000, 3)),
+            space.world(np.concatenate([borders, rng.permutation(borders, axis=1)])),
+        ]
+    )
     owns = np.array([region.owns(points) for region in partition.regions])
     assert (owns.sum(axis=0) == 1).all()
     assert np.array_equal(owns.argmax(axis=0), partition.owner(points))
@@ -58,8 +61,10 @@ def test_gaussians_that_are_not_finite_do_not_count(method):
     scene = field()
     positions = scene.points.astype(np.float32)
     lost = np.where(np.arange(len(positions))[:, None] % 3 == 0, np.nan, positions)
-    gone, kept = (cut(scene, method, gaussians=gaussians_at(rows))
-                  for rows in (lost, positions[np.arange(len(positions)) % 3 > 0]))
+    gone, kept = (
+        cut(scene, method, gaussians=gaussians_at(rows))
+        for rows in (lost, positions[np.arange(len(positions)) % 3 > 0])
+    )
     assert same(gone, kept) and gone.record() == kept.record()
 
 
@@ -94,9 +99,10 @@ def test_a_starved_block_is_joined_to_a_neighbour(method):
     assert 1 < len(partition.regions) < 30 and len(poor) < len(partition.regions) / 4
 
 
-@pytest.mark.parametrize("changes, cause", [
-    ({"method": "quadtree"}, "--method quadtree: expects one of citygs"),
-    ({"grid": (0, 2)}, "--grid 0x2")])
+@pytest.mark.parametrize(
+    "changes, cause",
+    [({"method": "quadtree"}, "--method quadtree: expects one of citygs"), ({"grid": (0, 2)}, "--grid 0x2")],
+)
 def test_bad_input_is_one_line(changes, cause):
     assert refused(lambda: PartitionOptions(**{"grid": (2, 2), **changes})).startswith(cause)
 
@@ -108,9 +114,10 @@ def test_a_coarse_model_without_gaussians_is_refused():
 
 def test_the_chosen_grid_counts_margins():
     scene = field()
-    sizes = [len(cut(scene, "blockgs", None, block_gaussians=100, expected=400,
-                     margin=margin).regions)
-             for margin in (0.0, 0.2)]
+    sizes = [
+        len(cut(scene, "blockgs", None, block_gaussians=100, expected=400, margin=margin).regions)
+        for margin in (0.0, 0.2)
+    ]
     assert sizes == [4, 8]
     assert len(cut(scene, "blockgs", None).regions) == 1
     needed = dict(block_gaussians=100, expected=400, margin=0.0)
@@ -135,15 +142,19 @@ def damaged(change):
     return record
 
 
-@pytest.mark.parametrize("change, cause", [
-    (lambda r: r["regions"].pop(), "6 lists"),
-    (lambda r: (r["regions"].pop(), r["views"].pop()), "gap"),
-    (lambda r: r["regions"][1].update(low=r["regions"][0]["low"]), "blocks 0 and 1 overlap"),
-    (lambda r: r["regions"].clear(), "0 regions"),
-    (lambda r: r.pop("space"), "space"),
-    (lambda r: r.update(views=[["x"]] * 6), "invalid literal"),
-    (lambda r: r.update(dropped=[]), "items"),
-    (lambda r: r["regions"][0].pop("low"), "low")])
+@pytest.mark.parametrize(
+    "change, cause",
+    [
+        (lambda r: r["regions"].pop(), "6 lists"),
+        (lambda r: (r["regions"].pop(), r["views"].pop()), "gap"),
+        (lambda r: r["regions"][1].update(low=r["regions"][0]["low"]), "blocks 0 and 1 overlap"),
+        (lambda r: r["regions"].clear(), "0 regions"),
+        (lambda r: r.pop("space"), "space"),
+        (lambda r: r.update(views=[["x"]] * 6), "invalid literal"),
+        (lambda r: r.update(dropped=[]), "items"),
+        (lambda r: r["regions"][0].pop("low"), "low"),
+    ],
+)
 def test_a_damaged_record_is_refused(change, cause):
     with pytest.raises(DAMAGED, match=cause):
         Partition.from_record(damaged(change))

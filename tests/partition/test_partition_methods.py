@@ -23,9 +23,13 @@ def test_a_view_spread_over_many_blocks_is_dropped():
     rows = scene.observations[scene.observations[:, 1] > 0]
     seen = np.column_stack([np.arange(0, len(scene.points), 40), np.zeros(75)])
     scene = replace(
-        scene, observations=np.concatenate([rows, seen.astype(np.int32)]), views=(
-            replace(scene.views[0], camera=replace(
-                high, rotation=rotation, translation=np.array([0, 0, 200.0]))), *scene.views[1:]))
+        scene,
+        observations=np.concatenate([rows, seen.astype(np.int32)]),
+        views=(
+            replace(scene.views[0], camera=replace(high, rotation=rotation, translation=np.array([0, 0, 200.0]))),
+            *scene.views[1:],
+        ),
+    )
     partition = cut(scene, "blockgs", (4, 4))
     assert partition.dropped == {0: "it shows too little of every block"}
     assert not any(0 in views for views in partition.views)
@@ -39,8 +43,9 @@ def test_blocks_of_blockgs_hold_about_the_same_with_their_margins(count, monkeyp
     rng = np.random.default_rng(0)
     far = np.linalg.norm(scene.points[:, :2] - [15, 5], axis=1)
     around = scene.points[rng.choice(len(scene.points), 20_000, p=softmax(-far / 6))]
-    gaussians = Gaussians.from_points(around + rng.normal(0, 0.5, around.shape),
-                                      np.zeros((len(around), 3), np.uint8), 0)
+    gaussians = Gaussians.from_points(
+        around + rng.normal(0, 0.5, around.shape), np.zeros((len(around), 3), np.uint8), 0
+    )
 
     def held(**options):
         partition = cut(scene, "blockgs", (count, 1), gaussians=gaussians, **options)
@@ -49,6 +54,7 @@ def test_blocks_of_blockgs_hold_about_the_same_with_their_margins(count, monkeyp
 
     def fullest(counts):
         return counts.max() / counts.mean()
+
     assert fullest(held()) <= make.BALANCED
     monkeypatch.setattr(make, "MOST_SAMPLED", 10_000)
     assert fullest(held()) <= 1.05 * make.BALANCED
@@ -108,8 +114,7 @@ def test_citygs_assigns_a_view_to_the_cell_of_its_camera_and_to_cells_it_shows(m
     for view in training:
         found = {b for b, views in enumerate(partition.views) if view in views}
         left_out = {int(np.bincount(own[~keep]).argmax()) for keep in rendered.get(int(view), [])}
-        assert all((~keep[own == np.bincount(own[~keep]).argmax()]).all()
-                   for keep in rendered.get(int(view), []))
+        assert all((~keep[own == np.bincount(own[~keep]).argmax()]).all() for keep in rendered.get(int(view), []))
         pixels, depths = scene.views[view].camera.project(scene.points)
         size = np.array([scene.views[view].camera.width, scene.views[view].camera.height])
         shown = (depths > 0) & (abs(pixels - size / 2) < 0.6 * size).all(axis=1)
@@ -127,12 +132,16 @@ def test_vastgs_divides_cameras_evenly(grid, seed):
     assert len(cameras) == grid[0] * grid[1] and np.ptp(cameras) <= 2
 
 
-@pytest.mark.parametrize("box, share", [
-    (((-1, -1, 0), (0, 1, 0)), 0.125),  # 4 x 4 of the ground are in the image from a height of 2
-    (((0, 0, 0), (9, 9, 1)), 0.25),
-    (((0, -9, 0), (1, 9, 1)), 0.5),  # from the height of 1 its top fills 1 of 2
-    (((-9, -9, -9), (9, 9, 9)), 1),  # around the camera
-    (((-9, -9, 3), (9, 9, 4)), 0)])  # behind it
+@pytest.mark.parametrize(
+    "box, share",
+    [
+        (((-1, -1, 0), (0, 1, 0)), 0.125),  # 4 x 4 of the ground are in the image from a height of 2
+        (((0, 0, 0), (9, 9, 1)), 0.25),
+        (((0, -9, 0), (1, 9, 1)), 0.5),  # from the height of 1 its top fills 1 of 2
+        (((-9, -9, -9), (9, 9, 9)), 1),  # around the camera
+        (((-9, -9, 3), (9, 9, 4)), 0),
+    ],
+)  # behind it
 def test_vastgs_measures_the_share_of_an_image(box, share):
     above = np.array([0.0, 0, 2])
     camera = Camera(60, 60, (30.0, 30.0), (30.0, 30.0), np.diag([1.0, -1, -1]), above)
@@ -153,8 +162,19 @@ def test_vastgs_assigns_views_by_what_they_show():
     assert over  # tilted ones look over the border
 
 
-@pytest.mark.parametrize("needed, aspect, grid", [
-    (1, 1, (1, 1)), (2, 4, (2, 1)), (2, 0.2, (1, 2)), (4, 1, (2, 2)), (9, 1, (3, 3)),
-    (8, 2, (4, 2)), (3600, 1, (60, 60)), (6, 1.5, (3, 2)), (7, 1, (3, 3))])
+@pytest.mark.parametrize(
+    "needed, aspect, grid",
+    [
+        (1, 1, (1, 1)),
+        (2, 4, (2, 1)),
+        (2, 0.2, (1, 2)),
+        (4, 1, (2, 2)),
+        (9, 1, (3, 3)),
+        (8, 2, (4, 2)),
+        (3600, 1, (60, 60)),
+        (6, 1.5, (3, 2)),
+        (7, 1, (3, 3)),
+    ],
+)
 def test_the_grid_follows_need_and_aspect(needed, aspect, grid):
     assert choose_grid(needed, aspect) in (grid, grid[::-1] if aspect == 1 else grid)

@@ -26,14 +26,17 @@ def test_coordinates_are_half_sides_from_the_origin():
     assert where.to(where.origin + 4 * where.rotation[0][None])[0, 0] == pytest.approx(1)
 
 
-@pytest.mark.parametrize("along, expected", [
-    ((0, 0, 0), (0.5, 0.5, 0.5)),
-    ((1, -1, 0.5), (0.75, 0.25, 0.625)),  # the area itself is only scaled
-    ((2, 0, 0), (0.875, 0.5, 0.5)),  # (2 - 1/2) / 4 + 1/2
-    ((2, -1, 0), (0.875, 0.3125, 0.5)),  # the largest decides for all: -1/2 of 3/2
-    ((0, 0, -4), (0.5, 0.5, 0.0625)),
-    ((1e30, 0, 0), (1, 0.5, 0.5)),
-])
+@pytest.mark.parametrize(
+    "along, expected",
+    [
+        ((0, 0, 0), (0.5, 0.5, 0.5)),
+        ((1, -1, 0.5), (0.75, 0.25, 0.625)),  # the area itself is only scaled
+        ((2, 0, 0), (0.875, 0.5, 0.5)),  # (2 - 1/2) / 4 + 1/2
+        ((2, -1, 0), (0.875, 0.3125, 0.5)),  # the largest decides for all: -1/2 of 3/2
+        ((0, 0, -4), (0.5, 0.5, 0.0625)),
+        ((1e30, 0, 0), (1, 0.5, 0.5)),
+    ],
+)
 def test_contraction_by_hand(along, expected):
     where = space(contracted=True)
     assert where.to(at(where, *along)) == pytest.approx(np.array([expected]), abs=1e-12)
@@ -80,14 +83,13 @@ def test_a_cell_reaches_all_points_within_its_margin():
 
 def test_a_cell_reaches_points_whose_spread_lies_in_it():
     turned = Rotation.from_euler("z", 90, degrees=True).as_matrix()  # u is the world's y, v its -x
-    cell = Region(Space(turned, UTM, np.array([10.0, 10, 10])), (-0.5, -np.inf, -np.inf),
-                  (0.5, np.inf, np.inf), 0.2)  # |u| < 0.7 with the margin; v has no end
+    cell = Region(
+        Space(turned, UTM, np.array([10.0, 10, 10])), (-0.5, -np.inf, -np.inf), (0.5, np.inf, np.inf), 0.2
+    )  # |u| < 0.7 with the margin; v has no end
     points = UTM + np.array([[0, 3.0, 0]] * 3 + [[50, 0, 99], [0, 7.5, 0]])
     assert cell.reaches(points).tolist() == [True] * 4 + [False]
-    assert cell.reaches(points, np.array([3.9, 4.1, 9.9, 6.9, 0])).tolist() == [
-        True, False, False, True, False]
-    assert cell.reaches(points, np.array([0, 0, 10.1, 7.1, 0])).tolist() == [
-        True, True, False, False, False]
+    assert cell.reaches(points, np.array([3.9, 4.1, 9.9, 6.9, 0])).tolist() == [True, False, False, True, False]
+    assert cell.reaches(points, np.array([0, 0, 10.1, 7.1, 0])).tolist() == [True, True, False, False, False]
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -117,19 +119,41 @@ def test_a_map_is_seen_from_above():
         where = space(seed=seed)
         if seed == 0:
             where = Space(np.diag([1.0, -1, -1]), np.zeros(3), np.ones(3))
-        u, v, up = (where.map(where.origin + axis[None])[0] - where.map(where.origin[None])[0]
-                    for axis in where.rotation)
+        u, v, up = (
+            where.map(where.origin + axis[None])[0] - where.map(where.origin[None])[0] for axis in where.rotation
+        )
         assert np.allclose(up, 0) and np.allclose([u @ u, v @ v, u @ v], [1, 1, 0])
         assert u[0] * v[1] - u[1] * v[0] == pytest.approx(1)  # not mirrored
 
 
-@pytest.mark.parametrize("change", [
-    {"low": [0, 0]}, {"low": [1, 1, "x"]}, {"low": [2, 0, 0]}, {"high": [0, 1, 1]}, {"low": None},
-    {"margin": -0.1}, {"margin": None}, {"margin": 1e400}, {"space": None}, {"space": {}},
-    {"low": [float("nan"), 0, 0]}, *({"space": {**space().record(), **change}} for change in (
-        {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]}, {"rotation": [1, 0, 0]},
-        {"half": [1, 0, 1]}, {"half": [1, -1, 1]}, {"half": "no"}, {"origin": [0, 0]},
-        {"origin": [0, 0, float("inf")]}))])
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"low": [0, 0]},
+        {"low": [1, 1, "x"]},
+        {"low": [2, 0, 0]},
+        {"high": [0, 1, 1]},
+        {"low": None},
+        {"margin": -0.1},
+        {"margin": None},
+        {"margin": 1e400},
+        {"space": None},
+        {"space": {}},
+        {"low": [float("nan"), 0, 0]},
+        *(
+            {"space": {**space().record(), **change}}
+            for change in (
+                {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]},
+                {"rotation": [1, 0, 0]},
+                {"half": [1, 0, 1]},
+                {"half": [1, -1, 1]},
+                {"half": "no"},
+                {"origin": [0, 0]},
+                {"origin": [0, 0, float("inf")]},
+            )
+        ),
+    ],
+)
 def test_a_damaged_record_is_refused(change):
     record = {**Region(space(), (0, 0, 0), (1, 1, 1), 0.1).record(), **change}
     with pytest.raises(DAMAGED):

@@ -17,8 +17,7 @@ AT = np.zeros(3)
 
 
 def view_of(name, width, height):
-    return View(name, Camera(width, height, (100.0, 100.0), (width / 2, height / 2), np.eye(3), AT),
-                None)
+    return View(name, Camera(width, height, (100.0, 100.0), (width / 2, height / 2), np.eye(3), AT), None)
 
 
 def some_windows(rng, views):
@@ -89,11 +88,11 @@ def test_blocks_visit_views_by_their_shares_but_not_more_often_in_all_than_one_r
 def test_shares_of_pixels_add_up(city):
     """Cells that own all places, each once, are shown by all pixels."""
     inner = region_of(city, 0.4)
-    outer = replace(inner, low=np.where(np.isfinite(inner.high), inner.high, -np.inf),
-                    high=np.full(3, np.inf))
+    outer = replace(inner, low=np.where(np.isfinite(inner.high), inner.high, -np.inf), high=np.full(3, np.inf))
     whole = sum(view.camera.width * view.camera.height for view in city.views)
     for scene in (city, replace(city, observations=None)):
         parts = [seen_pixels(scene, region, scene.views) for region in (inner, outer)]
         assert abs(sum(parts) - whole) <= 2 and min(parts) > 0.2 * whole
     assert sum(seen_pixels(city, inner, (view,)) for view in city.views) == pytest.approx(
-        seen_pixels(city, inner, city.views), abs=len(city.views))
+        seen_pixels(city, inner, city.views), abs=len(city.views)
+    )

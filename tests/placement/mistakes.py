@@ -28,7 +28,7 @@ def _some(rng: np.random.Generator, positions: Positions, most: float) -> NDArra
 
 def _outliers(rng: np.random.Generator, positions: Positions) -> Positions:
     rows = _some(rng, positions, 0.6)[:, None]
-    return positions + rows * rng.normal(0, 10.0**rng.uniform(1, 9), positions.shape)
+    return positions + rows * rng.normal(0, 10.0 ** rng.uniform(1, 9), positions.shape)
 
 
 def _exchanged_some(rng: np.random.Generator, positions: Positions) -> Positions:
@@ -49,7 +49,7 @@ def _duplicates(rng: np.random.Generator, positions: Positions) -> Positions:
 
 def _heights(rng: np.random.Generator, positions: Positions) -> Positions:
     result = positions.copy()
-    result[:, 2] += rng.normal(0, 10.0**rng.uniform(1, 12), len(positions))
+    result[:, 2] += rng.normal(0, 10.0 ** rng.uniform(1, 12), len(positions))
     return result
 
 
@@ -59,8 +59,7 @@ def _missing(rng: np.random.Generator, positions: Positions) -> Positions:
 
 def _line(rng: np.random.Generator, positions: Positions) -> Positions:
     middle = positions.mean(axis=0)
-    return middle + (positions - middle) * (1, 1e-9, 1) @ Rotation.from_euler(
-        "z", rng.uniform(0, 6)).as_matrix()
+    return middle + (positions - middle) * (1, 1e-9, 1) @ Rotation.from_euler("z", rng.uniform(0, 6)).as_matrix()
 
 
 def _shuffled(rng: np.random.Generator, positions: Positions) -> Positions:
@@ -84,8 +83,7 @@ MISTAKES: dict[str, Mistake] = {
     "on one line": _line,
     "missing numbers": _missing,
     "other names": _shuffled,
-    "noise": lambda rng, positions: positions + rng.normal(
-        0, 10.0**rng.uniform(0, 3), positions.shape),
+    "noise": lambda rng, positions: positions + rng.normal(0, 10.0 ** rng.uniform(0, 3), positions.shape),
 }
 
 
@@ -115,17 +113,18 @@ def outcome(mistake: str, seed: int) -> Outcome:
     is_control = bool(rng.integers(2))
     true, rotations, ground = _flight(rng)
     measured = ground[rng.choice(len(ground), rng.integers(3, 12), False)] if is_control else true
-    turn, scale = Rotation.random(random_state=seed).as_matrix(), 10.0**rng.uniform(-2, 2)
+    turn, scale = Rotation.random(random_state=seed).as_matrix(), 10.0 ** rng.uniform(-2, 2)
 
     def places(points: Positions) -> Positions:
         return points @ turn.T / scale + (1, 2, 3)
 
     if rng.random() < 0.3:
-        vertical = Vertical.measured(turn @ Rotation.from_euler(
-            "xy", rng.normal(0, 1, 2), degrees=True).as_matrix()[:, 2])
+        vertical = Vertical.measured(
+            turn @ Rotation.from_euler("xy", rng.normal(0, 1, 2), degrees=True).as_matrix()[:, 2]
+        )
     else:
         vertical = Vertical.by_cameras(rotations @ turn.T, places(ground))
-    noise = 0.02 if is_control else 10.0**rng.uniform(-2, 0.5)
+    noise = 0.02 if is_control else 10.0 ** rng.uniform(-2, 0.5)
     origin = np.array([5e5, 5e6, 300.0])
     noisy = measured + rng.normal(0, noise, measured.shape)
     if mistake in OF_THE_PLACE or rng.random() < 0.3:
@@ -136,25 +135,28 @@ def outcome(mistake: str, seed: int) -> Outcome:
     else:  # of numbers that are right in size, so that only the shape shows it
         middle = noisy.mean(axis=0)
         positions = MISTAKES[mistake](rng, noisy - middle) + middle + origin
-    guesses = [Guess("exchanged?", positions[:, [1, 0, 2]]),
-               Guess("heights down?", positions * (1, 1, -1)),
-               Guess("feet?", positions * (1, 1, 0.3048))]
+    guesses = [
+        Guess("exchanged?", positions[:, [1, 0, 2]]),
+        Guess("heights down?", positions * (1, 1, -1)),
+        Guess("feet?", positions * (1, 1, 0.3048)),
+    ]
     try:
-        result = believed(places(measured), positions, vertical, guesses if is_control
-                          else guesses[:1], is_control=is_control)
+        result = believed(
+            places(measured), positions, vertical, guesses if is_control else guesses[:1], is_control=is_control
+        )
     except NotGeoreferenced as error:
         return Outcome("refused", False, str(error))
     said = doubts(result, positions, vertical, (result.horizontal, result.vertical), is_control)
-    return Outcome("warned" if said else "believed",
-                   _is_right(result, turn, scale, places(true), origin + true), "; ".join(said))
+    return Outcome(
+        "warned" if said else "believed", _is_right(result, turn, scale, places(true), origin + true), "; ".join(said)
+    )
 
 
 def _flight(rng: np.random.Generator) -> tuple[Positions, Positions, Positions]:
     """Cameras [N, 3], their rotations, and points on the ground, metres: a grid, one strip, or
     few photos, straight down or oblique, over flat or hilly ground."""
     kind = rng.integers(3)
-    rows, columns = ((rng.integers(2, 6), rng.integers(3, 9)), (1, rng.integers(5, 12)),
-                     (1, rng.integers(3, 5)))[kind]
+    rows, columns = ((rng.integers(2, 6), rng.integers(3, 9)), (1, rng.integers(5, 12)), (1, rng.integers(3, 5)))[kind]
     spacing = rng.uniform(5, 40)
     x, y = np.meshgrid(np.arange(columns) * spacing, np.arange(rows) * spacing * 1.3)
     true = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, HEIGHT)])
@@ -169,10 +171,10 @@ def _flight(rng: np.random.Generator) -> tuple[Positions, Positions, Positions]:
     return true, rotations, ground
 
 
-def _is_right(result: Alignment, turn: Positions, scale: float, places: Positions, true: Positions
-              ) -> bool:
+def _is_right(result: Alignment, turn: Positions, scale: float, places: Positions, true: Positions) -> bool:
     angle = Rotation.from_matrix(result.similarity.rotation @ turn).magnitude()
     size = np.linalg.norm([*np.ptp(true[:, :2], axis=0), HEIGHT])
     away = np.linalg.norm((result.similarity(places) - true)[:, :2], axis=1)
-    return bool(np.degrees(angle) < 30 and abs(result.similarity.scale / scale - 1) < 0.05
-                and np.median(away) < 0.1 * size)
+    return bool(
+        np.degrees(angle) < 30 and abs(result.similarity.scale / scale - 1) < 0.05 and np.median(away) < 0.1 * size
+    )

@@ -16,8 +16,7 @@ class Flight:
 
     def __init__(self, seed, noise=1.5):
         self.rng = rng = np.random.default_rng(seed)
-        strips = [[(x, 20.0 * strip, 60.0) for x in np.linspace(0, 100, 6)[::(-1)**strip]]
-                  for strip in range(6)]
+        strips = [[(x, 20.0 * strip, 60.0) for x in np.linspace(0, 100, 6)[:: (-1) ** strip]] for strip in range(6)]
         self.true = np.concatenate(strips) + rng.normal(0, 1, (36, 3))
         self.turn = Rotation.random(random_state=seed).as_matrix()
         self.places = self.true @ self.turn.T / SCALE + rng.normal(size=3)
@@ -28,8 +27,7 @@ class Flight:
     def errors(self, result):
         """(relative error of the scale, tilt in degrees)."""
         up = result.similarity.rotation @ self.turn[:, 2]
-        return (abs(result.similarity.scale / SCALE - 1),
-                np.degrees(np.arccos(np.clip(up[2], -1, 1))))
+        return (abs(result.similarity.scale / SCALE - 1), np.degrees(np.arccos(np.clip(up[2], -1, 1))))
 
 
 @pytest.fixture(params=range(2))
@@ -78,11 +76,12 @@ def test_good_positions_count_more_than_bad_ones(flight):
     assert away[0] < 0.15 < away[1]
 
 
-@pytest.mark.parametrize("positions", [
-    np.zeros((2, 3)), np.zeros((36, 3)), np.random.default_rng(0).normal(0, 50, (36, 3))])
+@pytest.mark.parametrize(
+    "positions", [np.zeros((2, 3)), np.zeros((36, 3)), np.random.default_rng(0).normal(0, 50, (36, 3))]
+)
 def test_positions_that_determine_nothing_align_nothing(positions):
     flight = Flight(0)
-    assert aligned(flight.places[:len(positions)], positions, flight.up) is None
+    assert aligned(flight.places[: len(positions)], positions, flight.up) is None
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -90,8 +89,7 @@ def test_a_start_fits_those_that_are_right(seed):
     flight = Flight(seed, noise=0)
     wrong = flight.rng.permutation(36) < 9
     flight.gps[wrong] += flight.rng.normal(0, 300, (9, 3))
-    problem = _Problem(flight.places, flight.gps, np.ones(36, bool), flight.up, np.ones((36, 3)),
-                       False)
+    problem = _Problem(flight.places, flight.gps, np.ones(36, bool), flight.up, np.ones((36, 3)), False)
     start = problem.free_start(np.random.default_rng(seed))
     assert np.allclose(start(flight.places)[~wrong], flight.gps[~wrong])
 

@@ -20,8 +20,7 @@ def aerial(seed=0, pitch=90.0):
     points = rng.uniform((-50, -30, 0), (50, 30, 4), (2000, 3))
     back = 80 / np.tan(np.radians(pitch))
     targets = rng.uniform((-50, -30, 0), (50, 30, 0), (30, 3))
-    cameras = [Camera.looking_at(target, target + [0, -back, 80], up=(0, 1, 0))
-               for target in targets]
+    cameras = [Camera.looking_at(target, target + [0, -back, 80], up=(0, 1, 0)) for target in targets]
     return cameras, points
 
 

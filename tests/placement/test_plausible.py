@@ -14,12 +14,12 @@ from tests.placement.mistakes import MISTAKES, outcome
 SEEDS = 90  # of each of 17 mistakes: 1,530 alignments
 
 
-@pytest.mark.parametrize("seeds", [pytest.param(1, marks=pytest.mark.one_in(8)),
-                                   pytest.param(SEEDS, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    "seeds", [pytest.param(1, marks=pytest.mark.one_in(8)), pytest.param(SEEDS, marks=pytest.mark.nightly)]
+)
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_no_mistake_is_believed(mistake, seeds):
-    found = Counter((each.kind, each.right) for each in (
-        outcome(mistake, seed) for seed in range(seeds)))
+    found = Counter((each.kind, each.right) for each in (outcome(mistake, seed) for seed in range(seeds)))
     print(f"{mistake}: {dict(found)}")
     assert not found["believed", False]
     if mistake == "none":
@@ -36,8 +36,7 @@ def grid(columns=6, rows=4, seed=0):
 
 
 @pytest.mark.parametrize("noise", [0.0, 2.0])
-@pytest.mark.parametrize("change", [
-    lambda p: p[:, [1, 0, 2]], lambda p: p * (-1, 1, 1), lambda p: p * (1, -1, 1)])
+@pytest.mark.parametrize("change", [lambda p: p[:, [1, 0, 2]], lambda p: p * (-1, 1, 1), lambda p: p * (1, -1, 1)])
 @pytest.mark.one_in(3)
 def test_mirrored_gps_of_a_flat_nadir_survey_is_refused(change, noise):
     centres, rotations = grid()

@@ -33,15 +33,15 @@ def blend(splats, order, width, height, background, smooth=False, with_depth=Fal
     return image.reshape(channels, *shape), transmittance.reshape(shape), depth.reshape(shape)
 
 
-def blend_adjoint(splats, order, width, height, background, grad_image, grad_depth=None,
-                  grad_transmittance=None, smooth=False):
+def blend_adjoint(
+    splats, order, width, height, background, grad_image, grad_depth=None, grad_transmittance=None, smooth=False
+):
     """Gradients like `splats` from grad_image[C, H, W] and, if given, grad_depth[H, W] and
     grad_transmittance[H, W]."""
     pixels, channels = height * width, len(grad_image)
     grad_image = grad_image.reshape(channels, pixels)
     grad_depth = np.zeros(pixels) if grad_depth is None else grad_depth.reshape(pixels)
-    result = {name: np.zeros(np.shape(splats[name]))
-              for name in ("means", "conics", "opacities", "colours", "depths")}
+    result = {name: np.zeros(np.shape(splats[name])) for name in ("means", "conics", "opacities", "colours", "depths")}
     touches = list(_touches(splats, order, width, height, smooth))
     # what lies behind the splat at hand, as seen through it, times the cotangent
     behind = (np.reshape(background, (channels, 1)) * grad_image).sum(axis=0)
@@ -62,8 +62,7 @@ def blend_adjoint(splats, order, width, height, background, grad_image, grad_dep
         dx, dy = touch["offset"]
         a, b, c = splats["conics"][k]
         result["means"][k] += grad_power @ (a * dx + b * dy), grad_power @ (b * dx + c * dy)
-        result["conics"][k] -= (grad_power @ dx**2 / 2, grad_power @ (dx * dy),
-                                grad_power @ dy**2 / 2)
+        result["conics"][k] -= (grad_power @ dx**2 / 2, grad_power @ (dx * dy), grad_power @ dy**2 / 2)
     return result
 
 
@@ -78,8 +77,7 @@ def fragile_pixels(splats, order, width, height, tolerance=1e-4):
         alpha = np.where(alpha0 < ALPHA_MIN, 0, np.minimum(ALPHA_MAX, alpha0))
         alive = transmittance >= TRANSMITTANCE_MIN
         transmittance = np.where(alive, transmittance * (1 - alpha), transmittance)
-        for value, threshold in ((alpha0, ALPHA_MIN), (alpha0, ALPHA_MAX),
-                                 (transmittance, TRANSMITTANCE_MIN)):
+        for value, threshold in ((alpha0, ALPHA_MIN), (alpha0, ALPHA_MAX), (transmittance, TRANSMITTANCE_MIN)):
             fragile |= alive & (np.abs(value - threshold) <= tolerance * threshold)
     return fragile.reshape(height, width)
 
@@ -100,8 +98,15 @@ def _touches(splats, order, width, height, smooth):
         drawn = (alpha0 >= ALPHA_MIN) & ~stopped
         stopped |= drawn & (transmittance * (1 - alpha) < TRANSMITTANCE_MIN)
         at = np.flatnonzero(drawn & ~stopped)
-        yield {"splat": k, "pixels": at, "alpha": alpha[at], "slope": slope[at],
-               "falloff": falloff[at], "offset": offset[:, at], "before": transmittance[at]}
+        yield {
+            "splat": k,
+            "pixels": at,
+            "alpha": alpha[at],
+            "slope": slope[at],
+            "falloff": falloff[at],
+            "offset": offset[:, at],
+            "before": transmittance[at],
+        }
         transmittance[at] *= 1 - alpha[at]
 
 

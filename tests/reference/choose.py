@@ -19,8 +19,7 @@ def outside(scene, region, positions, log_scales, deviations):
     """bool[N]: which gaussians a region does not reach with so many standard deviations."""
     world = scene.offset + scene.unit * positions.astype(np.float64)
     spread = scene.unit * deviations * np.exp(log_scales.astype(np.float64).max(axis=1))
-    steps = np.concatenate([np.zeros((1, 3)), *(
-        [axis, -axis] for axis in region.space.rotation[:2])])
+    steps = np.concatenate([np.zeros((1, 3)), *([axis, -axis] for axis in region.space.rotation[:2])])
     return ~np.all([in_cell(region, world + spread[:, None] * step) for step in steps], axis=0)
 
 
@@ -33,7 +32,6 @@ def sizes(scene, region, positions, log_scales, views, shown_deviations=SHOWN_DE
         camera = view.camera
         pixels, depths = camera.project(positions.astype(np.float64))
         deviation = scale * max(camera.focal) / np.maximum(depths, scene.near_plane)
-        is_shown = (depths > scene.near_plane) & camera.contains(
-            pixels, shown_deviations * deviation)
+        is_shown = (depths > scene.near_plane) & camera.contains(pixels, shown_deviations * deviation)
         largest = np.maximum(largest, np.where(is_shown, 2 * deviation, 0))
     return np.minimum(largest, 1)

@@ -24,8 +24,7 @@ def contribution(splats, order, weights):
         ended |= drawn & (transmittance * (1 - alpha) < TRANSMITTANCE_MIN)
         drawn &= ~ended
         blended = (alpha * transmittance)[drawn]
-        sums[k] = (drawn.sum(), blended.sum(), blended @ weights[drawn],
-                   np.hypot(dx, dy)[drawn].sum())
+        sums[k] = (drawn.sum(), blended.sum(), blended @ weights[drawn], np.hypot(dx, dy)[drawn].sum())
         transmittance = np.where(drawn, transmittance * (1 - alpha), transmittance)
     return sums
 

@@ -12,7 +12,7 @@ def radius(camera, lens):
     """[H, W]: s times the squared distance of pixels from the optical axis, in focal lengths."""
     x = (np.arange(camera.width) + 0.5 - camera.centre[0]) / camera.focal[0]
     y = (np.arange(camera.height) + 0.5 - camera.centre[1]) / camera.focal[1]
-    return lens[3] * (x[None, :]**2 + y[:, None]**2)
+    return lens[3] * (x[None, :] ** 2 + y[:, None] ** 2)
 
 
 def powers(u):
@@ -37,8 +37,11 @@ def apply_adjoint(transform, image, grad, lens=NO_LENS, u=0.0):
     g = gain(lens, u)
     with_one = np.concatenate([g * image, np.ones((1, *image.shape[1:]))])
     by_gained = np.tensordot(transform[:, :3].T, grad, 1)
-    return (g * by_gained, np.tensordot(grad, with_one, axes=((1, 2), (1, 2))),
-            np.tensordot(powers(u), (by_gained * image).sum(axis=0), axes=((1, 2), (0, 1))))
+    return (
+        g * by_gained,
+        np.tensordot(grad, with_one, axes=((1, 2), (1, 2))),
+        np.tensordot(powers(u), (by_gained * image).sum(axis=0), axes=((1, 2), (0, 1))),
+    )
 
 
 def penalty(transform, pull):
@@ -53,19 +56,17 @@ def step(transforms, first, second, counts, view, grad, rate, pull):
     grad: [3, 4], of the image's loss; where it is not finite,
     nothing changes.
     """
-    return _step(transforms, first, second, counts, view,
-                 grad + penalty(transforms[view], pull)[1], rate)
+    return _step(transforms, first, second, counts, view, grad + penalty(transforms[view], pull)[1], rate)
 
 
 def lens_penalty(lens, pull):
     """pull x the mean squared term of (a, b, c), and its gradient."""
-    return pull * np.mean(lens[:3]**2), 2 * pull * lens[:3] / 3
+    return pull * np.mean(lens[:3] ** 2), 2 * pull * lens[:3] / 3
 
 
 def lens_step(lenses, first, second, counts, lens, grad, rate, pull):
     """The same for lenses [L, 4], whose scale stays; moments [L, 3], grad [3]."""
-    terms, *rest = _step(lenses[:, :3], first, second, counts, lens,
-                         grad + lens_penalty(lenses[lens], pull)[1], rate)
+    terms, *rest = _step(lenses[:, :3], first, second, counts, lens, grad + lens_penalty(lenses[lens], pull)[1], rate)
     return np.column_stack([terms, lenses[:, 3]]), *rest
 
 
@@ -81,6 +82,8 @@ def _step(values, first, second, counts, row, grad, rate):
 
 def between(to, back):
     """The map [3, 4] that undoes `back` and then does `to`."""
+
     def square(transform):
         return np.vstack([transform, [0, 0, 0, 1]])
+
     return (square(to) @ np.linalg.inv(square(back)))[:3]

@@ -37,8 +37,7 @@ def mean_ssim(x, y, valid=True):
     by_mu = 2 * mu_y * a2 / (b1 * b2) - 2 * mu_x * ssim / b1
     by_mu -= 2 * mu_x * by_contrast + mu_y * by_structure
     ssim = np.where(valid, ssim, 1)
-    by_mu, by_contrast, by_structure = (
-        np.where(valid, by, 0) for by in (by_mu, by_contrast, by_structure))
+    by_mu, by_contrast, by_structure = (np.where(valid, by, 0) for by in (by_mu, by_contrast, by_structure))
     # the window is symmetric, so it is its own adjoint
     grad = window(by_mu) + 2 * x * window(by_contrast) + y * window(by_structure)
     return ssim.mean(), np.where(valid, grad, 0) / x.size
@@ -46,12 +45,12 @@ def mean_ssim(x, y, valid=True):
 
 def window(image):
     """`image` [..., H, W] under the Gaussian window, zeros outside."""
-    taps = np.exp(-np.arange(-RADIUS, RADIUS + 1)**2 / (2 * SIGMA**2))
+    taps = np.exp(-(np.arange(-RADIUS, RADIUS + 1) ** 2) / (2 * SIGMA**2))
     taps /= taps.sum()
     for axis in (-2, -1):
         moved = np.moveaxis(image, axis, -1)
         padded = np.pad(moved, [(0, 0)] * (image.ndim - 1) + [(RADIUS, RADIUS)])
         size = moved.shape[-1]
-        moved = sum(tap * padded[..., k:k + size] for k, tap in enumerate(taps))
+        moved = sum(tap * padded[..., k : k + size] for k, tap in enumerate(taps))
         image = np.moveaxis(moved, -1, axis)
     return image

@@ -27,8 +27,9 @@ def normal_numbers(count, now, seed):
     keys[:, 0], keys[:, 1], keys[:, 2] = np.arange(count), now, seed
     u = ((hash_of(keys) >> np.uint32(9)) + 0.5) / 2**23
     radius, angle = np.sqrt(-2 * np.log(u[:, ::2])), 2 * np.pi * u[:, 1::2]
-    return np.column_stack([radius[:, 0] * np.cos(angle[:, 0]), radius[:, 0] * np.sin(angle[:, 0]),
-                            radius[:, 1] * np.cos(angle[:, 1])])
+    return np.column_stack(
+        [radius[:, 0] * np.cos(angle[:, 0]), radius[:, 0] * np.sin(angle[:, 0]), radius[:, 1] * np.cos(angle[:, 1])]
+    )
 
 
 def gate(logits):

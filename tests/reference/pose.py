@@ -27,8 +27,7 @@ def exponential(turn):
 def apply(camera, pose, depth):
     """The camera with its pose corrected."""
     turned = exponential(pose[:3])[0] @ camera["rotation"]
-    position = (-camera["rotation"].T @ camera["translation"]
-                + depth * camera["rotation"].T @ pose[3:])
+    position = -camera["rotation"].T @ camera["translation"] + depth * camera["rotation"].T @ pose[3:]
     return {**camera, "rotation": turned, "translation": -turned @ position}
 
 
@@ -45,15 +44,13 @@ def terms(rows, camera, degree, near, antialiased=False, *, grads):
     by_w, by_v = still["quaternions"][:, :1], still["quaternions"][:, 1:]
     # the derivative of |q| unit (0, turn) / 2 by the turn, in the gaussian's own axes
     own = length / 2 * (w * by_v - v * by_w + np.cross(by_v, v))
-    turn = (np.cross(p, still["positions"] @ rotation.T)
-            + np.einsum("ij,njk,nk->ni", rotation, body, own))
+    turn = np.cross(p, still["positions"] @ rotation.T) + np.einsum("ij,njk,nk->ni", rotation, body, own)
     return np.concatenate([turn, by_rows["positions"]], axis=1)
 
 
 def gradient(camera, pose, depth, sums):
     """[6], the gradient by a pose, from the sums of `terms` for the corrected camera."""
-    return np.concatenate([exponential(pose[:3])[1].T @ sums[:3],
-                           -depth * camera["rotation"] @ sums[3:]])
+    return np.concatenate([exponential(pose[:3])[1].T @ sums[:3], -depth * camera["rotation"] @ sums[3:]])
 
 
 def step(poses, first, second, counts, view, grad, rate, pull):

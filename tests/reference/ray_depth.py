@@ -7,8 +7,7 @@ from tests.reference.project import _forward
 
 
 def ray_depth(rows, camera, numbers, near, low_pass=0.3):
-    """depth[H, W]; numbers[H, W]: the gaussian of each pixel, from 1; 0: none, and the depth is 0.
-    """
+    """depth[H, W]; numbers[H, W]: the gaussian of each pixel, from 1; 0: none, and the depth is 0."""
     f = _forward(rows, camera, 0, low_pass, False)
     # rows of the three by which its whitened points move in the picture and along the axis
     forward = camera["rotation"][2] @ f["body"]

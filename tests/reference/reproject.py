@@ -27,8 +27,7 @@ def reproject(depth, transmittance, photo, neighbour, cameras, colour):
     sample, by_x, by_y = _bilinear(neighbour, x[valid], y[valid])
     difference = colour[:, :3] @ sample + colour[:, 3:] - photo[:, valid]
     squares[valid] = (difference**2).sum(0)
-    by_z[valid] = 2 * np.sum(
-        difference * (colour[:, :3] @ (by_x * du[valid] + by_y * dv[valid])), axis=0)
+    by_z[valid] = 2 * np.sum(difference * (colour[:, :3] @ (by_x * du[valid] + by_y * dv[valid])), axis=0)
     by_z /= max(valid.sum(), 1)
     by_depth = np.divide(by_z, cover, out=np.zeros(z.shape), where=valid)
     by_transmittance = np.divide(by_z * depth, cover**2, out=np.zeros(z.shape), where=valid)
@@ -43,8 +42,11 @@ def fragile_pixels(depth, transmittance, neighbour, cameras, tolerance=1e-4):
     _, (u, v), _ = _find(z, *cameras)
     near = _moved(z, *cameras)[2]
     texel = np.abs(np.stack([u - 0.5, v - 0.5]) - np.round(np.stack([u - 0.5, v - 0.5])))
-    return ((np.abs(cover - COVERED) < tolerance) | (texel < tolerance).any(0)
-            | (np.abs(near - NEAREST * z) < tolerance * z))
+    return (
+        (np.abs(cover - COVERED) < tolerance)
+        | (texel < tolerance).any(0)
+        | (np.abs(near - NEAREST * z) < tolerance * z)
+    )
 
 
 def _find(z, camera, other):
@@ -60,9 +62,10 @@ def _find(z, camera, other):
 
 def _moved(z, camera, other):
     """Pixel centres at depths z, by way of the world, in the other camera's frame [3, H, W]."""
-    line, column = np.mgrid[:z.shape[0], :z.shape[1]] + 0.5
-    points = np.stack([(column - camera["cx"]) / camera["fx"] * z,
-                       (line - camera["cy"]) / camera["fy"] * z, z]).reshape(3, -1)
+    line, column = np.mgrid[: z.shape[0], : z.shape[1]] + 0.5
+    points = np.stack(
+        [(column - camera["cx"]) / camera["fx"] * z, (line - camera["cy"]) / camera["fy"] * z, z]
+    ).reshape(3, -1)
     world = camera["rotation"].T @ (points - camera["translation"][:, None])
     return (other["rotation"] @ world + other["translation"][:, None]).reshape(3, *z.shape)
 

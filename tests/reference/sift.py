@@ -10,13 +10,13 @@ SAMPLES, CELL = 20, 4
 def smoothed(image, sigma):
     """A Gaussian of four sigma on each side; beyond the border, that of the border."""
     radius = int(np.ceil(4 * sigma))
-    taps = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma)**2)
+    taps = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
     taps /= taps.sum()
     for axis in (0, 1):
-        padded = np.pad(image, [(radius, radius) if axis == each else (0, 0) for each in (0, 1)],
-                        "edge")
-        image = sum(tap * np.take(padded, range(start, start + image.shape[axis]), axis)
-                    for start, tap in enumerate(taps))
+        padded = np.pad(image, [(radius, radius) if axis == each else (0, 0) for each in (0, 1)], "edge")
+        image = sum(
+            tap * np.take(padded, range(start, start + image.shape[axis]), axis) for start, tap in enumerate(taps)
+        )
     return image
 
 
@@ -28,8 +28,7 @@ def grey(pixels, width, height):
         at = np.clip((np.arange(size) + 0.5) * (most + 1) / size - 0.5, 0, most)
         low = np.minimum(at.astype(int), most)
         share = (at - low).reshape([-1, 1] if axis == 0 else [1, -1])
-        values = ((1 - share) * np.take(values, low, axis)
-                  + share * np.take(values, np.minimum(low + 1, most), axis))
+        values = (1 - share) * np.take(values, low, axis) + share * np.take(values, np.minimum(low + 1, most), axis)
     return values
 
 
@@ -40,8 +39,7 @@ def scale_space(pixels, width, height):
     while len(octaves) < 4 and min(image.shape) >= 8:
         levels = [image]
         for level in range(LEVELS - 1):
-            levels.append(smoothed(levels[-1], SIGMA * 2**(level / SCALES)
-                                   * np.sqrt(2**(2 / SCALES) - 1)))
+            levels.append(smoothed(levels[-1], SIGMA * 2 ** (level / SCALES) * np.sqrt(2 ** (2 / SCALES) - 1)))
         octaves.append(np.array(levels))
         image = levels[SCALES][::2, ::2]
     return octaves
@@ -58,7 +56,7 @@ def keypoints(octaves):
                     value = d[level, y, x]
                     if abs(value) <= 0.8 * CONTRAST:
                         continue
-                    others = np.delete(d[level - 1:level + 2, y - 1:y + 2, x - 1:x + 2], 13)
+                    others = np.delete(d[level - 1 : level + 2, y - 1 : y + 2, x - 1 : x + 2], 13)
                     if value > others.max() or value < others.min():
                         refined = refine(d, level, y, x)
                         if refined:
@@ -71,9 +69,10 @@ def keypoints(octaves):
 def refine(d, level, y, x):
     """((level, y, x), (x, y, level)) of an extremum, or None."""
     for move in range(5):
-        cube = d[level - 1:level + 2, y - 1:y + 2, x - 1:x + 2]
-        gradient = np.array([cube[1, 1, 2] - cube[1, 1, 0], cube[1, 2, 1] - cube[1, 0, 1],
-                             cube[2, 1, 1] - cube[0, 1, 1]]) / 2
+        cube = d[level - 1 : level + 2, y - 1 : y + 2, x - 1 : x + 2]
+        gradient = (
+            np.array([cube[1, 1, 2] - cube[1, 1, 0], cube[1, 2, 1] - cube[1, 0, 1], cube[2, 1, 1] - cube[0, 1, 1]]) / 2
+        )
         middle = 2 * cube[1, 1, 1]
         xx = cube[1, 1, 2] + cube[1, 1, 0] - middle
         yy = cube[1, 2, 1] + cube[1, 0, 1] - middle
@@ -85,16 +84,23 @@ def refine(d, level, y, x):
         if np.linalg.det(hessian) == 0:
             return None
         shift = -np.linalg.solve(hessian, gradient)
-        steps = [int(move > 0.6 and at < size - 2) - int(move < -0.6 and at > 1)
-                 for move, at, size in zip(shift, (x, y), (d.shape[2], d.shape[1]))]
+        steps = [
+            int(move > 0.6 and at < size - 2) - int(move < -0.6 and at > 1)
+            for move, at, size in zip(shift, (x, y), (d.shape[2], d.shape[1]))
+        ]
         if any(steps) and move < 4:
             x, y = x + steps[0], y + steps[1]
             continue
         value, curvature = cube[1, 1, 1] + gradient @ shift / 2, xx * yy - xy * xy
         row = np.array([x, y, level]) + shift
-        if (abs(value) < CONTRAST or curvature <= 0
-                or (xx + yy)**2 >= (EDGE + 1)**2 / EDGE * curvature or np.abs(shift).max() >= 1.5
-                or (row < 0).any() or (row > np.array(d.shape)[[2, 1, 0]] - [1, 1, 0]).any()):
+        if (
+            abs(value) < CONTRAST
+            or curvature <= 0
+            or (xx + yy) ** 2 >= (EDGE + 1) ** 2 / EDGE * curvature
+            or np.abs(shift).max() >= 1.5
+            or (row < 0).any()
+            or (row > np.array(d.shape)[[2, 1, 0]] - [1, 1, 0]).any()
+        ):
             return None
         return (level, y, x), row
     return None
@@ -106,23 +112,22 @@ def sampled(image, x, y):
     x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
     left, top = np.minimum(x.astype(int), width - 2), np.minimum(y.astype(int), height - 2)
     fx, fy = x - left, y - top
-    return ((1 - fy) * ((1 - fx) * image[top, left] + fx * image[top, left + 1])
-            + fy * ((1 - fx) * image[top + 1, left] + fx * image[top + 1, left + 1]))
+    return (1 - fy) * ((1 - fx) * image[top, left] + fx * image[top, left + 1]) + fy * (
+        (1 - fx) * image[top + 1, left] + fx * image[top + 1, left + 1]
+    )
 
 
 def gradients(octaves, keypoint, spacing, angle, sigma, bins):
     """Weighted lengths and directions, 0 to `bins`, of a turned grid [20, 20]."""
     x, y, level, octave = keypoint
     image = octaves[int(octave)][min(max(int(level + 0.5), 0), LEVELS - 1)]
-    away = (np.arange(SAMPLES + 2) - 1 - (SAMPLES - 1) / 2) * spacing * SIGMA * 2**(level / SCALES)
+    away = (np.arange(SAMPLES + 2) - 1 - (SAMPLES - 1) / 2) * spacing * SIGMA * 2 ** (level / SCALES)
     u, v = away[None, :], away[:, None]
-    patch = sampled(image, x + np.cos(angle) * u - np.sin(angle) * v,
-                    y + np.sin(angle) * u + np.cos(angle) * v)
+    patch = sampled(image, x + np.cos(angle) * u - np.sin(angle) * v, y + np.sin(angle) * u + np.cos(angle) * v)
     dx = patch[1:-1, 2:] - patch[1:-1, :-2]
     dy = patch[2:, 1:-1] - patch[:-2, 1:-1]
-    weights = np.exp(-0.5 * ((np.arange(SAMPLES) - (SAMPLES - 1) / 2) / sigma)**2)
-    return (np.hypot(dx, dy) * weights * weights[:, None],
-            np.mod(np.arctan2(dy, dx), 2 * np.pi) * bins / (2 * np.pi))
+    weights = np.exp(-0.5 * ((np.arange(SAMPLES) - (SAMPLES - 1) / 2) / sigma) ** 2)
+    return (np.hypot(dx, dy) * weights * weights[:, None], np.mod(np.arctan2(dy, dx), 2 * np.pi) * bins / (2 * np.pi))
 
 
 def shares(directions, bins):

@@ -15,8 +15,9 @@ def samples_of(brick, voxel):
 def depth_at(depth, pixels, truncation):
     """The bilinear depths float64[N] at pixels [N, 2]; nan where there is none."""
     height, width = depth.shape
-    (x, y), (fx, fy) = (np.array(pair) for pair in zip(*(
-        _between(axis, size) for axis, size in zip(pixels.T, (width, height)))))
+    (x, y), (fx, fy) = (
+        np.array(pair) for pair in zip(*(_between(axis, size) for axis, size in zip(pixels.T, (width, height))))
+    )
     x, y = x.astype(int), y.astype(int)
     four = np.stack([depth[y, x], depth[y, x + 1], depth[y + 1, x], depth[y + 1, x + 1]])
     weights = np.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy])
@@ -42,8 +43,7 @@ def signed_distance(bricks, voxel, truncation, views):
         for brick in chosen:
             x, y, z = rotation @ samples_of(bricks[brick], voxel).T + translation[:, None]
             pixels = np.stack([x / z * focal[0] + centre[0], y / z * focal[1] + centre[1]], 1)
-            shown = np.flatnonzero((z > near) & (pixels >= 0).all(axis=1)
-                                   & (pixels < depth.shape[::-1]).all(axis=1))
+            shown = np.flatnonzero((z > near) & (pixels >= 0).all(axis=1) & (pixels < depth.shape[::-1]).all(axis=1))
             column, row = pixels[shown].astype(int).T
             found = depth_at((depth + first) / 2, pixels[shown], truncation)
             size = found / focal[0]
@@ -51,10 +51,15 @@ def signed_distance(bricks, voxel, truncation, views):
                 unsure = (depth[row, column] - first[row, column]) / (SURE * size)
             weight = 1 / (1 + unsure**2)
             d = np.minimum((found - z[shown]) / truncation, 1)
-            counts = ((found > 0) & (d >= -1) & (size <= COARSEST * voxel)  # neither for nan
-                      & (transmittance[row, column] <= MOST_PASSES))
+            counts = (
+                (found > 0)
+                & (d >= -1)
+                & (size <= COARSEST * voxel)  # neither for nan
+                & (transmittance[row, column] <= MOST_PASSES)
+            )
             near_surface = weight * (1 - abs(d))
-            values = np.stack([weight * d, weight, np.ones(len(d)),
-                               *near_surface * image[:, row, column], near_surface])
+            values = np.stack(
+                [weight * d, weight, np.ones(len(d)), *near_surface * image[:, row, column], near_surface]
+            )
             sums[:, brick, shown[counts]] += values[:, counts]
     return sums

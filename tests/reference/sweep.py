@@ -16,7 +16,7 @@ def sweep(images, sizes, sources, warps, first, spacing, planes):
     columns, rows = sizes[0]
     if min(columns, rows) < SIDE:
         return depths, scores, ahead
-    y, x = (index.ravel() for index in np.mgrid[REACH:rows - REACH, REACH:columns - REACH])
+    y, x = (index.ravel() for index in np.mgrid[REACH : rows - REACH, REACH : columns - REACH])
 
     def at_planes(stride, inverse_depths):
         """The scores [P, K] at inverse depths [P, K] of all pixels, nan without texture."""
@@ -24,11 +24,25 @@ def sweep(images, sizes, sources, warps, first, spacing, planes):
         own = images[0][y[:, None] + dy, x[:, None] + dx]
         middle = own.mean(axis=1, keepdims=True)
         textured = own.var(axis=1) >= LEAST_VARIANCE
-        found = [[np.where(textured, correlation(
-            own - middle, (x + 0.5, y + 0.5), w, images[source][:sizes[source][1],
-                                                               :sizes[source][0]],
-            warp, (dx, dy), middle), np.nan) for source, warp in zip(sources, warps)]
-            for w in inverse_depths.T]
+        found = [
+            [
+                np.where(
+                    textured,
+                    correlation(
+                        own - middle,
+                        (x + 0.5, y + 0.5),
+                        w,
+                        images[source][: sizes[source][1], : sizes[source][0]],
+                        warp,
+                        (dx, dy),
+                        middle,
+                    ),
+                    np.nan,
+                )
+                for source, warp in zip(sources, warps)
+            ]
+            for w in inverse_depths.T
+        ]
         best = np.sort(np.array(found), axis=1)[:, -2:]  # a single source has no second
         return (best.sum(axis=1) + NO_MATCH * (2 - best.shape[1])).T / 2
 
@@ -49,8 +63,9 @@ def sweep(images, sizes, sources, warps, first, spacing, planes):
     depth = near[pixel, chosen] + shift * spacing / 2
     depths[y, x] = np.where(counted, depth, 0)
     scores[y, x] = np.where(counted, fine[pixel, chosen], 0)
-    ahead[y, x] = np.minimum(*(np.diff(np.sort(np.nan_to_num(each, nan=NO_MATCH))[:, -2:])[:, 0]
-                               for each in (swept, fine)))
+    ahead[y, x] = np.minimum(
+        *(np.diff(np.sort(np.nan_to_num(each, nan=NO_MATCH))[:, -2:])[:, 0] for each in (swept, fine))
+    )
     return depths, scores, ahead
 
 
@@ -64,12 +79,13 @@ def correlation(own, pixel, inverse_depth, source, warp, offsets, middle):
         jacobian = (matrix[:2, :2, None] - centre[:, None] * matrix[2, :2, None]) / q[2]
         u, v = centre[:, :, None] + np.einsum("ijp,jt->ipt", jacobian, offsets)
     inside = (q[2] > 0) & (centre >= 0).all(axis=0) & (centre.T <= (width, height)).all(axis=1)
-    u, v = (np.clip(np.nan_to_num(place - 0.5), 0, most - 1) for place, most
-            in ((u, width), (v, height)))
+    u, v = (np.clip(np.nan_to_num(place - 0.5), 0, most - 1) for place, most in ((u, width), (v, height)))
     x, y = (np.minimum(place.astype(int), most - 2) for place, most in ((u, width), (v, height)))
     fx, fy = u - x, v - y
-    values = ((1 - fy) * ((1 - fx) * source[y, x] + fx * source[y, x + 1])
-              + fy * ((1 - fx) * source[y + 1, x] + fx * source[y + 1, x + 1])) - middle
+    values = (
+        (1 - fy) * ((1 - fx) * source[y, x] + fx * source[y, x + 1])
+        + fy * ((1 - fx) * source[y + 1, x] + fx * source[y + 1, x + 1])
+    ) - middle
     variance = values.var(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         found = (own * values).mean(axis=1) / np.sqrt((own**2).mean(axis=1) * variance)
@@ -84,8 +100,7 @@ def confirm(inverse_depths, sizes, cameras, reference, sources, same_depth):
     own = cameras[reference]
     for row, column in zip(*np.nonzero(inverse_depths[reference] > 0)):
         z = 1 / inverse_depths[reference][row, column]
-        ray = [(column + 0.5 - own.centre[0]) / own.focal[0],
-               (row + 0.5 - own.centre[1]) / own.focal[1], 1.0]
+        ray = [(column + 0.5 - own.centre[0]) / own.focal[0], (row + 0.5 - own.centre[1]) / own.focal[1], 1.0]
         point = own.rotation.T @ (z * np.array(ray) - own.translation)
         for source in sources:
             pixel, depth = cameras[source].project(point[None])

@@ -15,9 +15,13 @@ def on_one_pixel(opacities, colours, depths=None):
     """Splats centred on the only pixel of an image, front first, and their order."""
     count = len(opacities)
     depths = np.arange(1.0, count + 1) if depths is None else np.asarray(depths, float)
-    return {"means": np.full((count, 2), 0.5), "conics": np.tile([1.0, 0, 1], (count, 1)),
-            "opacities": np.asarray(opacities, float), "colours": np.asarray(colours, float),
-            "depths": depths}, np.arange(count)
+    return {
+        "means": np.full((count, 2), 0.5),
+        "conics": np.tile([1.0, 0, 1], (count, 1)),
+        "opacities": np.asarray(opacities, float),
+        "colours": np.asarray(colours, float),
+        "depths": depths,
+    }, np.arange(count)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -28,14 +32,14 @@ def test_adjoint_agrees_with_differences(size, with_depth, seed):
     assert blend(splats, order, *size, BACKGROUND, smooth=True)[1].min() > 2e-4
 
     def function(point):
-        image, transmittance, depth = blend(
-            point, order, *size, BACKGROUND, smooth=True, with_depth=with_depth)
+        image, transmittance, depth = blend(point, order, *size, BACKGROUND, smooth=True, with_depth=with_depth)
         more = {"depth": depth, "transmittance": transmittance} if with_depth else {}
         return {"image": image, **more}
 
     def adjoint(point, grads):
-        return blend_adjoint(point, order, *size, BACKGROUND, grads["image"], grads.get("depth"),
-                             grads.get("transmittance"), smooth=True)
+        return blend_adjoint(
+            point, order, *size, BACKGROUND, grads["image"], grads.get("depth"), grads.get("transmittance"), smooth=True
+        )
 
     adjoint_agrees(function, adjoint, splats, seed, what=f"blend {size}")
 
@@ -58,8 +62,9 @@ def test_chain_of_project_and_blend_agrees_with_differences(name, antialiased):
 
     def adjoint(rows, grads):
         splats = project(rows, *arguments, antialiased=antialiased)
-        by_splat = blend_adjoint(splats, order, *size, BACKGROUND, grads["image"], grads["depth"],
-                                 grads["transmittance"], smooth=True)
+        by_splat = blend_adjoint(
+            splats, order, *size, BACKGROUND, grads["image"], grads["depth"], grads["transmittance"], smooth=True
+        )
         return project_adjoint(rows, *arguments, antialiased=antialiased, grads=by_splat)
 
     adjoint_agrees(function, adjoint, case["rows"], what=f"chain {name}")
@@ -79,7 +84,9 @@ def test_hard_cutoff_and_early_stop_have_the_adjoint_of_what_is_drawn():
     adjoint_agrees(
         lambda p: {"image": blend(p, order, *size, BACKGROUND)[0] * sure},
         lambda p, grads: blend_adjoint(p, order, *size, BACKGROUND, grads["image"] * sure),
-        point, what="hard blend")
+        point,
+        what="hard blend",
+    )
 
 
 def test_two_splats_by_hand():

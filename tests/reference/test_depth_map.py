@@ -23,9 +23,12 @@ def test_gradients_agree_with_differences(size):
     depth, transmittance, known = an_input(*size)
     adjoint_agrees(
         lambda point: {"loss": np.array(compare_depth(point["d"], point["t"], known)[0])},
-        lambda point, grads: dict(zip("dt", (by * grads["loss"] for by in compare_depth(
-            point["d"], point["t"], known)[1:3]))),
-        {"d": depth, "t": transmittance}, what=f"depth map {size}")
+        lambda point, grads: dict(
+            zip("dt", (by * grads["loss"] for by in compare_depth(point["d"], point["t"], known)[1:3]))
+        ),
+        {"d": depth, "t": transmittance},
+        what=f"depth map {size}",
+    )
 
 
 def test_a_wrong_depth_pulls_no_more_than_a_right_one():

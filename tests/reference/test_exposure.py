@@ -19,16 +19,22 @@ def test_adjoint_agrees_with_differences(size):
     u = np.random.default_rng(1).uniform(0, 1, size[::-1])
 
     def forward(point):
-        return {"result": exposure.apply(point["transform"], point["image"], [*point["terms"], 1],
-                                         u)}
+        return {"result": exposure.apply(point["transform"], point["image"], [*point["terms"], 1], u)}
 
     def adjoint(point, grads):
-        return dict(zip(("image", "transform", "terms"), exposure.apply_adjoint(
-            point["transform"], point["image"], grads["result"], [*point["terms"], 1], u)))
+        return dict(
+            zip(
+                ("image", "transform", "terms"),
+                exposure.apply_adjoint(point["transform"], point["image"], grads["result"], [*point["terms"], 1], u),
+            )
+        )
 
-    adjoint_agrees(forward, adjoint, {
-        "transform": a_transform(0), "image": cases.images(*size)[0], "terms": LENS[:3]},
-        what=f"{size}")
+    adjoint_agrees(
+        forward,
+        adjoint,
+        {"transform": a_transform(0), "image": cases.images(*size)[0], "terms": LENS[:3]},
+        what=f"{size}",
+    )
 
 
 def test_gain_is_one_on_the_axis_and_the_sum_of_its_terms_in_the_corner():
@@ -38,8 +44,9 @@ def test_gain_is_one_on_the_axis_and_the_sum_of_its_terms_in_the_corner():
 
 def test_a_lens_steps_as_a_transform_does_and_keeps_its_scale():
     lenses, zero = np.stack([LENS, 2 * LENS]), np.zeros((2, 3))
-    moved, first, _, counts = exposure.lens_step(lenses, zero, zero, np.zeros(2, int), 1,
-                                                 np.array([1.0, -2, 3]), 0.01, 0)
+    moved, first, _, counts = exposure.lens_step(
+        lenses, zero, zero, np.zeros(2, int), 1, np.array([1.0, -2, 3]), 0.01, 0
+    )
     np.testing.assert_allclose(moved[1] - lenses[1], [-0.01, 0.01, -0.01, 0])
     np.testing.assert_array_equal(moved[0], lenses[0])
     np.testing.assert_allclose(first[1], [0.1, -0.2, 0.3])
@@ -47,20 +54,21 @@ def test_a_lens_steps_as_a_transform_does_and_keeps_its_scale():
 
 
 def test_lens_penalty_agrees_with_differences():
-    adjoint_agrees(lambda point: {"penalty": np.array(exposure.lens_penalty(point["lens"],
-                                                                            0.3)[0])},
-                   lambda point, grads: {"lens": np.append(
-                       exposure.lens_penalty(point["lens"], 0.3)[1] * grads["penalty"], 0)},
-                   {"lens": LENS}, what="penalty")
+    adjoint_agrees(
+        lambda point: {"penalty": np.array(exposure.lens_penalty(point["lens"], 0.3)[0])},
+        lambda point, grads: {"lens": np.append(exposure.lens_penalty(point["lens"], 0.3)[1] * grads["penalty"], 0)},
+        {"lens": LENS},
+        what="penalty",
+    )
 
 
 def test_penalty_agrees_with_differences():
-    adjoint_agrees(lambda point: {"penalty": np.array(exposure.penalty(point["transform"],
-                                                                       0.3)[0])},
-                   lambda point, grads: {
-                       "transform": exposure.penalty(point["transform"],
-                                                     0.3)[1] * grads["penalty"]},
-                   {"transform": a_transform(1)}, what="penalty")
+    adjoint_agrees(
+        lambda point: {"penalty": np.array(exposure.penalty(point["transform"], 0.3)[0])},
+        lambda point, grads: {"transform": exposure.penalty(point["transform"], 0.3)[1] * grads["penalty"]},
+        {"transform": a_transform(1)},
+        what="penalty",
+    )
     assert exposure.penalty(np.eye(3, 4), 1)[0] == 0
     assert exposure.penalty(np.eye(3, 4) + 0.5, 2)[0] == pytest.approx(0.5)
 
@@ -78,8 +86,7 @@ def test_identity_changes_nothing_and_entries_stand_row_by_row():
 def test_a_step_goes_against_the_gradient_of_its_own_view():
     transforms, zero = np.tile(np.eye(3, 4), (3, 1, 1)), np.zeros((3, 3, 4))
     grad = np.random.default_rng(2).normal(size=(3, 4))
-    moved, first, second, counts = exposure.step(transforms, zero, zero, np.zeros(3, int), 1, grad,
-                                                 0.01, 0)
+    moved, first, second, counts = exposure.step(transforms, zero, zero, np.zeros(3, int), 1, grad, 0.01, 0)
     np.testing.assert_allclose(moved[1], np.eye(3, 4) - 0.01 * np.sign(grad))
     np.testing.assert_allclose(first[1], 0.1 * grad)
     np.testing.assert_array_equal(moved[[0, 2]], transforms[[0, 2]])
@@ -102,6 +109,6 @@ def test_the_pull_alone_leads_towards_the_identity():
 def test_between_takes_one_views_colours_to_anothers():
     image, first, second = cases.images(9, 4)[0], a_transform(4), a_transform(5)
     np.testing.assert_allclose(
-        exposure.apply(exposure.between(first, second), exposure.apply(second, image)),
-        exposure.apply(first, image))
+        exposure.apply(exposure.between(first, second), exposure.apply(second, image)), exposure.apply(first, image)
+    )
     np.testing.assert_allclose(exposure.between(first, first), np.eye(3, 4), atol=1e-14)

@@ -22,7 +22,9 @@ def test_gradient_agrees_with_differences(size, weight, masked):
     adjoint_agrees(
         lambda point: {"loss": np.array(image_loss(point["x"], y, weight, valid)[0])},
         lambda point, grads: {"x": image_loss(point["x"], y, weight, valid)[1] * grads["loss"]},
-        {"x": x}, what=f"image loss {size}")
+        {"x": x},
+        what=f"image loss {size}",
+    )
 
 
 def test_masked_pixels_are_like_those_beyond_the_border():
@@ -43,11 +45,10 @@ def test_ssim_is_skimages_away_from_the_border():
     """Where the border's treatment cannot reach: equal images outside make SSIM 1 there, so the
     sums over the differing middle can be compared."""
     x, y = cases.images(60, 50)
-    y[:, :15], y[:, -15:], y[:, :, :15], y[:, :, -15:] = \
-        x[:, :15], x[:, -15:], x[:, :, :15], x[:, :, -15:]
+    y[:, :15], y[:, -15:], y[:, :, :15], y[:, :, -15:] = x[:, :15], x[:, -15:], x[:, :, :15], x[:, :, -15:]
     theirs = structural_similarity(
-        x, y, channel_axis=0, gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
-        data_range=1.0, full=True)[1]
+        x, y, channel_axis=0, gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1.0, full=True
+    )[1]
     assert theirs.mean() < 0.97
     np.testing.assert_allclose(mean_ssim(x, y)[0], theirs.mean(), rtol=1e-7)
 
@@ -55,7 +56,7 @@ def test_ssim_is_skimages_away_from_the_border():
 def test_window_sums_to_one_inside_and_loses_what_is_outside():
     under = window(np.ones((1, 21, 30)))[0]
     np.testing.assert_allclose(under[5:-5, 5:-5], 1)
-    assert under[0, 0] == pytest.approx((0.5 + under[10, 0] - 0.5)**2) and under[10, 0] < 0.64
+    assert under[0, 0] == pytest.approx((0.5 + under[10, 0] - 0.5) ** 2) and under[10, 0] < 0.64
     impulse = np.zeros((1, 11, 11))
     impulse[0, 5, 5] = 1
     response = window(impulse)[0]
@@ -96,9 +97,14 @@ def test_adam_by_hand_over_two_steps():
 
 
 def test_statistics_count_visible_rows_in_ndc_units():
-    sums, counts = accumulate(np.array([1.0, 1, 1]), np.array([0, 5, 2]),
-                              np.array([[3.0, 0], [0, 2], [7, 7]]),
-                              np.array([True, True, False]), 10, 6)
+    sums, counts = accumulate(
+        np.array([1.0, 1, 1]),
+        np.array([0, 5, 2]),
+        np.array([[3.0, 0], [0, 2], [7, 7]]),
+        np.array([True, True, False]),
+        10,
+        6,
+    )
     np.testing.assert_allclose(sums, [16, 7, 1])
     np.testing.assert_array_equal(counts, [1, 6, 2])
 
@@ -119,10 +125,11 @@ def test_close_names_the_worst_element():
     expected = np.array([[1.0, 2], [3, 0]])
     close(expected * (1 + 5e-5) + 1e-5, expected, "float", "near")
     for actual, precision, text in (
-            (expected + [[0, 0], [0.1, 0]], "float", r"\[1, 0\]"),
-            (expected * (1 + 1e-9), "double", "4 of 4|3 of 4"),
-            (np.where(expected == 3, np.nan, expected), "float", r"not finite.*\[1, 0\]"),
-            (expected[0], "float", "shape")):
+        (expected + [[0, 0], [0.1, 0]], "float", r"\[1, 0\]"),
+        (expected * (1 + 1e-9), "double", "4 of 4|3 of 4"),
+        (np.where(expected == 3, np.nan, expected), "float", r"not finite.*\[1, 0\]"),
+        (expected[0], "float", "shape"),
+    ):
         with pytest.raises(AssertionError, match=text):
             close(actual, expected, precision, "far")
     close([np.nan, np.inf, 1], [np.nan, np.inf, 1], "double", "same")
@@ -141,5 +148,4 @@ def test_adjoint_agrees_refuses_a_wrong_adjoint():
 
     adjoint_agrees(function, adjoint, point)
     with pytest.raises(AssertionError, match="along y"):
-        adjoint_agrees(function, lambda p, g: {**adjoint(p, g), "y": g["z"] * p["x"] * 1.00001},
-                       point)
+        adjoint_agrees(function, lambda p, g: {**adjoint(p, g), "y": g["z"] * p["x"] * 1.00001}, point)

@@ -8,6 +8,7 @@ from tests.reference.noise import gate, hash_of, noise, normal_numbers
 
 def test_the_hash_is_that_of_the_paper():
     """By whole numbers of any size, modulo 2^32, as Jarzynski and Olano write it."""
+
     def by_hand(*v):
         x, y, z, w = ((each * 1664525 + 1013904223) % 2**32 for each in v)
         for last in (False, True):
@@ -42,9 +43,12 @@ def test_the_gate_opens_at_the_opacity_of_dead_gaussians():
 def test_steps_lie_along_the_gaussian():
     """With the covariance of its covariance: Sigma Sigma^T, for a needle turned by 90 degrees."""
     count = 100_000
-    rows = {"positions": np.ones((count, 3)), "opacity_logits": np.full(count, -20.0),
-            "quaternions": np.tile([1.0, 0, 0, 1.0], (count, 1)),
-            "log_scales": np.tile(np.log([0.2, 0.05, 0.1]), (count, 1))}
+    rows = {
+        "positions": np.ones((count, 3)),
+        "opacity_logits": np.full(count, -20.0),
+        "quaternions": np.tile([1.0, 0, 0, 1.0], (count, 1)),
+        "log_scales": np.tile(np.log([0.2, 0.05, 0.1]), (count, 1)),
+    }
     moved = noise(rows, 2.0, 5, 0, np.zeros(count, bool)) - 1
-    spread = 2.0 * gate(np.array(-20.0)) * np.array([0.05, 0.2, 0.1])**2
+    spread = 2.0 * gate(np.array(-20.0)) * np.array([0.05, 0.2, 0.1]) ** 2
     assert moved.std(axis=0) == pytest.approx(spread, rel=0.02)

@@ -19,8 +19,7 @@ def rendered(case, camera, antialiased):
     return splats, depth_order(splats)
 
 
-@pytest.mark.parametrize("name, antialiased", [("plain", False), ("degree_1", True),
-                                               ("degree_2", False)])
+@pytest.mark.parametrize("name, antialiased", [("plain", False), ("degree_1", True), ("degree_2", False)])
 def test_agrees_with_differences_of_a_render(name, antialiased):
     case = cases.gaussians(name, seed=4, count=12, width=30, height=20)
     case["rows"]["opacity_logits"] -= 1  # no pixel may end early: that is a step
@@ -35,10 +34,8 @@ def test_agrees_with_differences_of_a_render(name, antialiased):
     def adjoint(point, cotangents):
         camera = reference.apply(case["camera"], point["pose"], DEPTH)
         splats, order = rendered(case, camera, antialiased)
-        grads = blend_adjoint(splats, order, *size, background, cotangents["image"],
-                              cotangents["depth"], smooth=True)
-        sums = reference.terms(case["rows"], camera, case["degree"], case["near"], antialiased,
-                               grads=grads).sum(axis=0)
+        grads = blend_adjoint(splats, order, *size, background, cotangents["image"], cotangents["depth"], smooth=True)
+        sums = reference.terms(case["rows"], camera, case["degree"], case["near"], antialiased, grads=grads).sum(axis=0)
         return {"pose": reference.gradient(case["camera"], point["pose"], DEPTH, sums)}
 
     for seed in range(3):

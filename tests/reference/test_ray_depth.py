@@ -9,14 +9,28 @@ SIZE = 40, 30
 
 
 def camera(orthographic=False):
-    return {"width": SIZE[0], "height": SIZE[1], "fx": 200.0, "fy": 200.0, "cx": 20.0, "cy": 15.0,
-            "rotation": np.eye(3), "translation": np.zeros(3), "orthographic": orthographic}
+    return {
+        "width": SIZE[0],
+        "height": SIZE[1],
+        "fx": 200.0,
+        "fy": 200.0,
+        "cx": 20.0,
+        "cy": 15.0,
+        "rotation": np.eye(3),
+        "translation": np.zeros(3),
+        "orthographic": orthographic,
+    }
 
 
 def one(scales, quaternion=(1.0, 0, 0, 0)):
-    return {"positions": np.array([[0.0, 0, 5]]), "log_scales": np.log([scales]),
-            "quaternions": np.array([quaternion]), "opacity_logits": np.zeros(1),
-            "sh_constant": np.zeros((1, 3)), "sh_rest": np.zeros((1, 0, 3))}
+    return {
+        "positions": np.array([[0.0, 0, 5]]),
+        "log_scales": np.log([scales]),
+        "quaternions": np.array([quaternion]),
+        "opacity_logits": np.zeros(1),
+        "sh_constant": np.zeros((1, 3)),
+        "sh_rest": np.zeros((1, 0, 3)),
+    }
 
 
 @pytest.mark.parametrize("orthographic", [False, True])

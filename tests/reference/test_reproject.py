@@ -20,8 +20,7 @@ def test_adjoint_agrees_with_differences(size, other_size, seed):
     transmittance[fragile_pixels(depth, transmittance, neighbour, cameras)] = 1
 
     def back(point):
-        return reproject(point["depth"], point["transmittance"], photo / 255, neighbour / 255,
-                         cameras, COLOUR)
+        return reproject(point["depth"], point["transmittance"], photo / 255, neighbour / 255, cameras, COLOUR)
 
     def function(point):
         squares, valid, _, _ = back(point)
@@ -37,8 +36,16 @@ def test_adjoint_agrees_with_differences(size, other_size, seed):
 
 def side_by_side(move):
     """Two cameras of 10 pixels focal length; what is at x for one is at x + move for the other."""
-    camera = {"width": 9, "height": 3, "fx": 10.0, "fy": 10.0, "cx": 4.5, "cy": 1.5,
-              "rotation": np.eye(3), "translation": np.zeros(3)}
+    camera = {
+        "width": 9,
+        "height": 3,
+        "fx": 10.0,
+        "fy": 10.0,
+        "cx": 4.5,
+        "cy": 1.5,
+        "rotation": np.eye(3),
+        "translation": np.zeros(3),
+    }
     return camera, {**camera, "translation": np.array(move, float)}
 
 
@@ -47,7 +54,8 @@ def test_a_ramp_by_hand():
     ramp = np.tile(0.01 * np.arange(9.0), (3, 3, 1))
     transmittance = np.full((3, 9), 0.2)
     squares, valid, by_depth, by_transmittance = reproject(
-        np.full((3, 9), 5 * 0.8), transmittance, ramp, ramp, side_by_side([1, 0, 0]), IDENTITY)
+        np.full((3, 9), 5 * 0.8), transmittance, ramp, ramp, side_by_side([1, 0, 0]), IDENTITY
+    )
     expected = np.zeros((3, 9), bool)
     expected[:2, :6] = True  # the last line and, two further, the last column have no next texel
     np.testing.assert_array_equal(valid, expected)
@@ -61,22 +69,35 @@ def test_colours_are_transformed_before_they_are_compared():
     dark = np.full((3, 3, 9), 0.25)
     colour = np.array([[2, 0, 0, 0.1], [0, 1, 0, 0], [1, 1, 1, 0]])
     squares, valid, _, _ = reproject(
-        np.full((3, 9), 5.0), np.zeros((3, 9)), dark, dark, side_by_side([0, 0, 0]), colour)
+        np.full((3, 9), 5.0), np.zeros((3, 9)), dark, dark, side_by_side([0, 0, 0]), colour
+    )
     np.testing.assert_allclose(squares[valid], 0.35**2 + 0.5**2)
 
 
-@pytest.mark.parametrize("depth, transmittance, move, valid", [
-    (4.0, 0.0, 0, True), (4.0, 0.49, 0, True), (4.0, 0.5, 0, False), (4.0, 1.0, 0, False),
-    (0.0, 0.0, 0, False), (-4.0, 0.0, 0, False), (np.nan, 0.0, 0, False), (np.inf, 0.0, 0, False),
-    (4.0, np.nan, 0, False), (4.0, 0.0, -3.5, True), (4.0, 0.0, -3.7, False),
-    (4.0, 0.0, -4.5, False), (4.0, 0.0, 1e3, True)])
+@pytest.mark.parametrize(
+    "depth, transmittance, move, valid",
+    [
+        (4.0, 0.0, 0, True),
+        (4.0, 0.49, 0, True),
+        (4.0, 0.5, 0, False),
+        (4.0, 1.0, 0, False),
+        (0.0, 0.0, 0, False),
+        (-4.0, 0.0, 0, False),
+        (np.nan, 0.0, 0, False),
+        (np.inf, 0.0, 0, False),
+        (4.0, np.nan, 0, False),
+        (4.0, 0.0, -3.5, True),
+        (4.0, 0.0, -3.7, False),
+        (4.0, 0.0, -4.5, False),
+        (4.0, 0.0, 1e3, True),
+    ],
+)
 def test_which_pixels_are_valid(depth, transmittance, move, valid):
     """By the pixel in the middle, which every move along the axis leaves there."""
     black = np.zeros((3, 3, 9))
     depths, transmittances = np.full((3, 9), depth), np.full((3, 9), transmittance)
     with np.errstate(invalid="ignore"):
-        _, found, *grads = reproject(
-            depths, transmittances, black, black, side_by_side([0, 0, move]), IDENTITY)
+        _, found, *grads = reproject(depths, transmittances, black, black, side_by_side([0, 0, move]), IDENTITY)
     assert found[1, 4] == valid and np.isfinite(grads).all()
 
 
@@ -84,8 +105,9 @@ def test_fragile_pixels_are_those_at_a_threshold():
     photo = np.zeros((3, 3, 9))
 
     def fragile(depth, transmittance, move):
-        return fragile_pixels(np.full((3, 9), depth) * (1 - transmittance),
-                              np.full((3, 9), transmittance), photo, side_by_side(move))[1, 4]
+        return fragile_pixels(
+            np.full((3, 9), depth) * (1 - transmittance), np.full((3, 9), transmittance), photo, side_by_side(move)
+        )[1, 4]
 
     assert not fragile(4.0, 0.2, [0.1, 0.1, 0])
     assert fragile(4.0, 0.50001, [0.1, 0.1, 0])

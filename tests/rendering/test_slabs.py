@@ -22,12 +22,13 @@ STOP = 1e-2
 
 def in_slabs(device, case, limit, rows=None, part=16, with_depth=True, depth_percent=0, **options):
     """(image, depth, transmittance, number of slabs)."""
-    renderer = SlabRenderer(device, chain.stored_degree(case), case["near"],
-                            background=case["background"], limit=limit, **options)
+    renderer = SlabRenderer(
+        device, chain.stored_degree(case), case["near"], background=case["background"], limit=limit, **options
+    )
     parts = Parts.of(case["rows"] if rows is None else rows, part)
-    frame = renderer.render(parts, renderer.pack(chain.camera_of(case)), *chain.size_of(case),
-                            case["degree"],
-                            with_depth, depth_percent)
+    frame = renderer.render(
+        parts, renderer.pack(chain.camera_of(case)), *chain.size_of(case), case["degree"], with_depth, depth_percent
+    )
     return *downloaded(frame), frame.slabs
 
 
@@ -99,8 +100,7 @@ def test_what_is_drawn_is_in_a_part_that_is_seen(item_device, name):
         rows["positions"] = rows["positions"] * np.float32(1.7)  # many just outside
         renderer = chain.renderer_of(item_device, case)
         camera = chain.camera_of(case)
-        frame = renderer.render(chain.upload_rows(item_device, rows), renderer.pack(camera),
-                                *chain.size_of(case), 0)
+        frame = renderer.render(chain.upload_rows(item_device, rows), renderer.pack(camera), *chain.size_of(case), 0)
         seen = {piece.start for piece in Parts.of(rows, 1).seen(camera, case["near"])}
         assert set(frame.visible.download()) <= seen
 
@@ -127,8 +127,7 @@ def test_a_model_that_does_not_fit_is_evaluated_all_the_same(float_device, tmp_p
     run.save_model(gaussians, city.offset)
     whole = evaluate_run(Run(run), float_device, save_images=False)
     limits = []
-    monkeypatch.setattr(slabs, "gaussian_limit", lambda *_: (
-        limits.append(1), gaussians.count // 6)[1])
+    monkeypatch.setattr(slabs, "gaussian_limit", lambda *_: (limits.append(1), gaussians.count // 6)[1])
     slabbed = evaluate_run(Run(run), float_device, save_images=False)
     assert limits
     for score in ("psnr", "ssim", "psnr_cc", "ssim_cc"):

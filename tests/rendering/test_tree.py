@@ -28,15 +28,12 @@ def test_the_finest_nodes_are_drawn_as_the_model(float_device, tmp_path, monkeyp
     settings = float_device, degree, case["near"], False, case["background"]
     leaves = np.flatnonzero(tree.is_leaf)
     renderer = Renderer(*settings)
-    rows = {name: float_device.upload(np.concatenate([tree.read(leaf, name) for leaf in leaves]))
-            for name in ORDER}
+    rows = {name: float_device.upload(np.concatenate([tree.read(leaf, name) for leaf in leaves])) for name in ORDER}
     camera, size = camera_of(case), size_of(case)
     whole = downloaded(renderer.render(rows, renderer.pack(camera), *size, degree, True))
     for limit in (None, 17):
-        streamed = TreeRenderer(float_device, tree, case["near"], False, case["background"],
-                                limit=limit)
-        frames = [streamed.render(tree, streamed.pack(camera), *size, degree, True)
-                  for _ in range(2)]
+        streamed = TreeRenderer(float_device, tree, case["near"], False, case["background"], limit=limit)
+        frames = [streamed.render(tree, streamed.pack(camera), *size, degree, True) for _ in range(2)]
         assert np.array_equal(*(frame.image.download() for frame in frames))
         if limit is None:
             assert all(map(np.array_equal, downloaded(frames[1]), whole))
@@ -79,12 +76,16 @@ def test_a_model_larger_than_the_memory_for_it_is_drawn(tmp_path):
     for path, count in zip(paths, (2000, 300_000)):
         model = strip(count, 0.02)
         with writing_tree(path, 1, np.zeros(3)) as writer:
-            leaves = [writer.add(part, facts_of(part)) for part in (
-                selected(model, np.arange(begin, min(begin + 2048, count)))
-                for begin in range(0, count, 2048))]
+            leaves = [
+                writer.add(part, facts_of(part))
+                for part in (
+                    selected(model, np.arange(begin, min(begin + 2048, count))) for begin in range(0, count, 2048)
+                )
+            ]
             writer.add(selected(model, np.arange(10)), facts_of(model), leaves)
-    done = subprocess.run([sys.executable, "-c", PROGRAM, *map(str, paths)], capture_output=True,
-                          text=True, timeout=600, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *map(str, paths)], capture_output=True, text=True, timeout=600, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert paths[1].stat().st_size > 26 << 20
     assert float(done.stdout) < 16 + 8

@@ -17,61 +17,80 @@ from tests.report.test_report import Balanced
 
 def trained(name, points=((10, 20.0), (20, 24.0)), finished=True, **options):
     """A Trained with evaluations at (seconds, PSNR after the colour fit)."""
-    records = [{"event": "eval", "iteration": 100 * number, "train_seconds": seconds,
-                "gaussians": 1000 * number, "psnr_cc": psnr, "psnr": psnr - 1, "ssim": 0.8,
-                "ssim_cc": 0.9} for number, (seconds, psnr) in enumerate(points, 1)]
+    records = [
+        {
+            "event": "eval",
+            "iteration": 100 * number,
+            "train_seconds": seconds,
+            "gaussians": 1000 * number,
+            "psnr_cc": psnr,
+            "psnr": psnr - 1,
+            "ssim": 0.8,
+            "ssim_cc": 0.9,
+        }
+        for number, (seconds, psnr) in enumerate(points, 1)
+    ]
     facts = {"scene": "/data/city", "fingerprint": "ab" * 32, "opencl_device": "H100", "seed": 0}
     return Trained(name, {**facts, **options}, records, finished)
 
 
 def test_runs_that_differ_by_seed_are_one_group():
-    runs = [trained("b", seed=1, schedule="sig", stop_at=5, device="gpu", eval_every=9),
-            trained("a", seed=0, schedule="sig"), trained("c", seed=0, schedule="dash")]
+    runs = [
+        trained("b", seed=1, schedule="sig", stop_at=5, device="gpu", eval_every=9),
+        trained("a", seed=0, schedule="sig"),
+        trained("c", seed=0, schedule="dash"),
+    ]
     groups = grouped(runs)
-    assert {name: [run.name for run in group] for name, group in groups.items()} == {
-        "sig": ["a", "b"], "dash": ["c"]}
+    assert {name: [run.name for run in group] for name, group in groups.items()} == {"sig": ["a", "b"], "dash": ["c"]}
 
 
-@pytest.mark.parametrize("first, second, names", [
-    ({}, {}, ["sig"]),
-    ({"max_gaussians": 5}, {"max_gaussians": 7}, ["max gaussians 5", "max gaussians 7"]),
-    ({"sphere": True}, {"sphere": False}, ["sphere true", "sphere false"]),
-    ({}, {"opencl_device": "MI300"}, ["H100", "MI300"]),
-    ({"commit": "a" * 40}, {"commit": "a" * 40 + "-dirty"}, ["commit aaaaaaaa",
-                                                             "commit aaaaaaaa-dirty"]),
-    ({"reset_every": 1}, {"schedule": "dash"}, ["sig", "dash"]),  # one word tells them apart
-    ({}, {"max_gaussians": 5}, ["max gaussians not recorded", "max gaussians 5"]),
-])
+@pytest.mark.parametrize(
+    "first, second, names",
+    [
+        ({}, {}, ["sig"]),
+        ({"max_gaussians": 5}, {"max_gaussians": 7}, ["max gaussians 5", "max gaussians 7"]),
+        ({"sphere": True}, {"sphere": False}, ["sphere true", "sphere false"]),
+        ({}, {"opencl_device": "MI300"}, ["H100", "MI300"]),
+        ({"commit": "a" * 40}, {"commit": "a" * 40 + "-dirty"}, ["commit aaaaaaaa", "commit aaaaaaaa-dirty"]),
+        ({"reset_every": 1}, {"schedule": "dash"}, ["sig", "dash"]),  # one word tells them apart
+        ({}, {"max_gaussians": 5}, ["max gaussians not recorded", "max gaussians 5"]),
+    ],
+)
 def test_groups_are_named_by_what_tells_them_apart(first, second, names):
-    runs = [trained("a", **{"schedule": "sig", **first}),
-            trained("b", **{"schedule": "sig", **second})]
+    runs = [trained("a", **{"schedule": "sig", **first}), trained("b", **{"schedule": "sig", **second})]
     assert list(grouped(runs)) == names
 
 
 def test_options_that_a_schedule_does_not_use_are_left_out():
-    runs = [trained("a", schedule="sig", sphere=True, rounds=12, near=0.5, taming_budget=15.0),
-            trained("b", schedule="constant", sphere=True, rounds=99, near=0.5, taming_budget=15.0),
-            trained("c", schedule="constant", sphere=False, rounds=12, near=0.5, seed=1)]
+    runs = [
+        trained("a", schedule="sig", sphere=True, rounds=12, near=0.5, taming_budget=15.0),
+        trained("b", schedule="constant", sphere=True, rounds=99, near=0.5, taming_budget=15.0),
+        trained("c", schedule="constant", sphere=False, rounds=12, near=0.5, seed=1),
+    ]
     groups = grouped(runs)
     assert [len(group) for group in groups.values()] == [1, 2]  # b and c differ in nothing used
     assert differing(runs) == ["schedule"]
     assert "near" in equal(runs) and not {"sphere", "rounds", "taming_budget"} & set(equal(runs))
     assert "sphere" in equal(runs[:1]) and "taming_budget" not in equal(runs[:1])
-    longer = grouped([*runs, trained("d", schedule="sig", sphere=False, rounds=12, near=0.5,
-                                     taming_budget=15.0)])
+    longer = grouped([*runs, trained("d", schedule="sig", sphere=False, rounds=12, near=0.5, taming_budget=15.0)])
     assert ("sphere", "true", "-", "false") in compare.different_table(longer).rows
 
 
-@pytest.mark.parametrize("change, words", [
-    ({"fingerprint": "cd" * 32, "scene": "/data/barn"},
-     "different scenes, so no score says which is better (scene: barn (cdcdcdcd) / city"),
-    ({"test_every": 9}, "so scores cannot be compared (test every: 9 / not recorded)"),
-    ({"downscale": 2.0}, "so scores cannot be compared (downscale:"),
-    ({"opencl_device": "MI300"}, "scores can be compared, times cannot (OpenCL device: H100"),
-    ({"version": "9"}, "different versions of clsplat (version"),
-    ({"finished": False}, "Not finished yet: b."),
-    ({"seed": 3, "size": "L"}, "The groups have different seeds"),
-])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (
+            {"fingerprint": "cd" * 32, "scene": "/data/barn"},
+            "different scenes, so no score says which is better (scene: barn (cdcdcdcd) / city",
+        ),
+        ({"test_every": 9}, "so scores cannot be compared (test every: 9 / not recorded)"),
+        ({"downscale": 2.0}, "so scores cannot be compared (downscale:"),
+        ({"opencl_device": "MI300"}, "scores can be compared, times cannot (OpenCL device: H100"),
+        ({"version": "9"}, "different versions of clsplat (version"),
+        ({"finished": False}, "Not finished yet: b."),
+        ({"seed": 3, "size": "L"}, "The groups have different seeds"),
+    ],
+)
 def test_what_is_unfair_is_said(change, words):
     found = warnings(grouped([trained("a"), trained("b", **change)]))
     assert sum(words in sentence for sentence in found) == 1, found
@@ -82,9 +101,13 @@ def test_a_fair_comparison_has_no_warning():
 
 
 def test_numbers():
-    groups = grouped([trained("a", schedule="sig"),
-                      trained("b", ((8, 20.0), (16, 26.0)), schedule="sig", seed=1),
-                      trained("c", ((10, 23.5), (40, 25.0)), schedule="dash")])
+    groups = grouped(
+        [
+            trained("a", schedule="sig"),
+            trained("b", ((8, 20.0), (16, 26.0)), schedule="sig", seed=1),
+            trained("c", ((10, 23.5), (40, 25.0)), schedule="dash"),
+        ]
+    )
     result = compare.compare(groups, [22.0, 25.0])
     assert result["equal_seconds"] == 16
     sig, dash = result["groups"]
@@ -98,11 +121,19 @@ def test_numbers():
 
     final, time = compare.final_table(result), compare.time_table(result)
     # what it costs stands before the scores, and only the main scores have their deviation
-    assert final.rows[0] == ("sig", "2", "0, 1", "18.0 ± 2.8", "2,000", "25.00 ± 1.41", "24.00",
-                             "0.9000 ± 0.0000", "0.8000")
+    assert final.rows[0] == (
+        "sig",
+        "2",
+        "0, 1",
+        "18.0 ± 2.8",
+        "2,000",
+        "25.00 ± 1.41",
+        "24.00",
+        "0.9000 ± 0.0000",
+        "0.8000",
+    )
     assert final.rows[1][3:6] == ("40.0", "2,000", "25.00")
-    assert time.rows == [("sig", "12.8 ± 3.1", "1 of 2 runs", "24.20 ± 2.55"),
-                         ("dash", "≤ 10.0", "40.0", "23.80")]
+    assert time.rows == [("sig", "12.8 ± 3.1", "1 of 2 runs", "24.20 ± 2.55"), ("dash", "≤ 10.0", "40.0", "23.80")]
 
 
 def test_costs():
@@ -121,8 +152,7 @@ def test_scores_that_only_some_runs_have():
     run.records[-1].update(flip=0.125, flip_cc=0.0625)
     assert heads(run)[8:] == ("SSIM", "FLIP cc", "FLIP")
     groups = grouped([run, trained("b", schedule="dash")])
-    assert [row[9:] for row in compare.final_table(compare.compare(groups)).rows] == [
-        ("0.0625", "0.1250"), ("-", "-")]
+    assert [row[9:] for row in compare.final_table(compare.compare(groups)).rows] == [("0.0625", "0.1250"), ("-", "-")]
 
 
 def test_a_run_without_evaluations():
@@ -137,9 +167,16 @@ def test_a_run_without_evaluations():
     assert compare.time_table(alone).rows[0][1:] == ("0 of 1 runs",)
 
 
-@pytest.mark.parametrize("best, levels", [
-    ([[28.7], [27.4]], [26.0, 27.0, 28.5]), ([[28.7, 27.1], [27.6]], [26.0, 27.0, 27.5]),
-    ([[27.3], [27.4]], [25.0, 26.0, 27.0]), ([[30.0], []], [28.0, 29.0, 30.0]), ([[]], [])])
+@pytest.mark.parametrize(
+    "best, levels",
+    [
+        ([[28.7], [27.4]], [26.0, 27.0, 28.5]),
+        ([[28.7, 27.1], [27.6]], [26.0, 27.0, 27.5]),
+        ([[27.3], [27.4]], [25.0, 26.0, 27.0]),
+        ([[30.0], []], [28.0, 29.0, 30.0]),
+        ([[]], []),
+    ],
+)
 def test_levels_from_the_data(best, levels):
     groups = [[(None, [20.0, psnr]) for psnr in group] for group in best]
     assert compare.levels_from(groups) == levels
@@ -177,23 +214,35 @@ def test_the_command(folder):
     html = (folder / "compare.html").read_text()
     assert Balanced(html).charts == 1
     assert "<td class=number>0 of 2 runs" in html
-    order = [html.index(words) for words in (
-        'class="chart"', "class=warning", "At the end", "Against training time", "What differs",
-        "<summary>What is equal")]
+    order = [
+        html.index(words)
+        for words in (
+            'class="chart"',
+            "class=warning",
+            "At the end",
+            "Against training time",
+            "What differs",
+            "<summary>What is equal",
+        )
+    ]
     assert order == sorted(order)
     numbers = json.loads((folder / "compare.json").read_text())
     assert [group["name"] for group in numbers["groups"]] == sorted(METHODS)
-    run = next(run for group in numbers["groups"] for run in group["runs"]
-               if run["folder"] == "sig.1")
+    run = next(run for group in numbers["groups"] for run in group["runs"] if run["folder"] == "sig.1")
     last = RunFolder.open(folder / "sig.1").records()[-1]
     assert run["psnr_cc"] == last["psnr_cc"] and run["train_seconds"] == last["train_seconds"]
 
 
 def test_combinations():
-    wanted = combinations({"levels": [4, 2, 1]}, {"seed": 3, "taming_budget": 9.0},
-                          "sig,constant,taming", 2)
+    wanted = combinations({"levels": [4, 2, 1]}, {"seed": 3, "taming_budget": 9.0}, "sig,constant,taming", 2)
     assert [(o.schedule, o.seed) for o in wanted] == [
-        ("sig", 3), ("constant", 3), ("taming", 3), ("sig", 4), ("constant", 4), ("taming", 4)]
+        ("sig", 3),
+        ("constant", 3),
+        ("taming", 3),
+        ("sig", 4),
+        ("constant", 4),
+        ("taming", 4),
+    ]
     assert [o.levels for o in wanted[:3]] == [(4, 2, 1), (), ()]
     assert [o.taming_budget for o in wanted[:3]] == [15, 15, 9]
     assert [o.reset_every for o in wanted[:2]] == [0, 3000]  # each as that schedule chooses
@@ -233,8 +282,7 @@ def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted):
         folder.mkdir(exist_ok=True)
         (folder / "point_cloud.ply").write_text("ply")
         if folder.name == "dash.1":
-            made_run(tmp_path / "x", "dash", 1).path.joinpath("options.json").rename(
-                folder / "options.json")
+            made_run(tmp_path / "x", "dash", 1).path.joinpath("options.json").rename(folder / "options.json")
             (tmp_path / "x" / "metrics.jsonl").rename(folder / "metrics.jsonl")
 
     calls = []

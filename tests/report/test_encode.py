@@ -34,10 +34,14 @@ def test_cells_follow_a_coarse_picture(tmp_path, city, monkeypatch, memory):
     monkeypatch.setattr(encode, "WHOLE", 1000)
     monkeypatch.setattr(encode, "CELL", 600)
     text = written(tmp_path / "page.html", city, colourful(city, 4000, 1))
-    text = text.replace("<head>", "<head><script>Object.defineProperty(navigator, 'deviceMemory', "
-                        f"{{ value: {memory} }});</script>", 1)
+    text = text.replace(
+        "<head>", f"<head><script>Object.defineProperty(navigator, 'deviceMemory', {{ value: {memory} }});</script>", 1
+    )
     text = text.replace("HELD_BY_A_PHONE = 1e6", "HELD_BY_A_PHONE = 2 * 4096")
-    found = found_in(tmp_path, text, """
+    found = found_in(
+        tmp_path,
+        text,
+        """
       const held = () => view.cells.slots.map(({ number }) => number);
       found.held = held();
       found.drawn = view.cells.ranges().reduce((sum, [, , count]) => sum + count, 0);
@@ -54,7 +58,8 @@ def test_cells_follow_a_coarse_picture(tmp_path, city, monkeypatch, memory):
       found.follows = held().includes(furthest.number);
       view.hasty = true;
       found.hasty = view.cells.ranges(true).every(([first]) => first === 0);
-    """)
+    """,
+    )
     assert all(found[name] for name in ("first", "follows", "hasty", "poster"))
     assert found["ranges"] == 8
     assert len(found["held"]) == (8 if memory == 32 else 2)

@@ -24,7 +24,7 @@ def drawn(method="blockgs", grid=(3, 2), counts=range(6), cameras=30, blind=None
 def test_cells_points_and_cameras_are_where_they_are(method):
     scene, partition, figure = drawn(method)
     axes = figure.axes[0]
-    cells, = (c for c in axes.collections if isinstance(c, PolyCollection))
+    (cells,) = (c for c in axes.collections if isinstance(c, PolyCollection))
     points, cameras = (c for c in axes.collections if isinstance(c, PathCollection))
     assert len(cells.get_paths()) == 6
     owner = partition.owner(world(scene))
@@ -44,8 +44,10 @@ def test_cells_points_and_cameras_are_where_they_are(method):
 def test_labels_name_block_gaussians_and_views():
     _, partition, figure = drawn(counts=np.arange(1000, 1006))
     texts = [text.get_text().split("\n") for text in figure.axes[0].texts]
-    assert texts == [[str(block), f"{1000 + block:,} gaussians", f"{len(views)} views"]
-                     for block, views in enumerate(partition.views)]
+    assert texts == [
+        [str(block), f"{1000 + block:,} gaussians", f"{len(views)} views"]
+        for block, views in enumerate(partition.views)
+    ]
 
 
 def test_held_out_and_lost_views_are_marked_apart():
@@ -58,11 +60,11 @@ def test_held_out_and_lost_views_are_marked_apart():
 
 def test_borders_are_drawn_with_their_seams():
     scene, partition, plain = drawn()
-    found = [{"blocks": border.blocks, "seam_db": 0.5 if border.blocks[0] else None}
-             for border in find_borders(partition)]
+    found = [
+        {"blocks": border.blocks, "seam_db": 0.5 if border.blocks[0] else None} for border in find_borders(partition)
+    ]
     figure = partition_map(partition, scene, range(6), found)
-    lines = [line for line in figure.axes[0].lines if line not in plain.axes[0].lines
-             and len(line.get_xdata()) > 20]
+    lines = [line for line in figure.axes[0].lines if line not in plain.axes[0].lines and len(line.get_xdata()) > 20]
     seams = [text for text in figure.axes[0].texts if text.get_text() == "0.5 dB"]
     assert len(lines) == len(seams) == sum(border["seam_db"] is not None for border in found) > 2
     for border, line in zip((each for each in found if each["seam_db"]), lines):

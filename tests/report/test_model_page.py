@@ -59,15 +59,17 @@ def decoded(content, coding):
     words = planes[16] | planes[17] << 8 | planes[18] << 16 | planes[19] << 24
     others = np.stack([words >> shift & 1023 for shift in (0, 10, 20)], axis=1)
     others = (others / 1023 - 0.5) * np.sqrt(2)
-    turns = np.array([np.insert(row, which, np.sqrt(max(0, 1 - row @ row)))
-                      for row, which in zip(others, words >> 30)])
-    bands = np.repeat(np.arange(1, 4), [9, 15, 21])[:3 * degree * (degree + 2)]
+    turns = np.array([np.insert(row, which, np.sqrt(max(0, 1 - row @ row))) for row, which in zip(others, words >> 30)])
+    bands = np.repeat(np.arange(1, 4), [9, 15, 21])[: 3 * degree * (degree + 2)]
     reach = np.array([0.0, *coding["harmonics"]])[bands]
-    return {"positions": middle + unit * np.sinh(low + size * places / (2**24 - 1)),
-            "log_scales": scale_low + scale_size * planes[9:12].T / 255,
-            "colours": colour_low + colour_size * planes[12:15].T / 255,
-            "opacities": planes[15] / 255, "turns": turns,
-            "sh_rest": ((planes[20:].T - 128) / 127 * reach).reshape(count, -1, 3)}
+    return {
+        "positions": middle + unit * np.sinh(low + size * places / (2**24 - 1)),
+        "log_scales": scale_low + scale_size * planes[9:12].T / 255,
+        "colours": colour_low + colour_size * planes[12:15].T / 255,
+        "opacities": planes[15] / 255,
+        "turns": turns,
+        "sh_rest": ((planes[20:].T - 128) / 127 * reach).reshape(count, -1, 3),
+    }
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -80,8 +82,7 @@ def test_bytes_hold_the_model(city, degree):
     assert np.abs(near["positions"] - model.positions[mine]).max() < 1e-6 * np.ptp(model.positions)
     log_scales = np.maximum(model.log_scales[mine], near["log_scales"].min(axis=0))
     assert (log_scales != model.log_scales[mine]).sum() <= 3
-    assert np.abs(near["log_scales"] - log_scales).max() < 0.5 / 255 * np.ptp(
-        model.log_scales, axis=0).max() + 1e-6
+    assert np.abs(near["log_scales"] - log_scales).max() < 0.5 / 255 * np.ptp(model.log_scales, axis=0).max() + 1e-6
     colours = 0.5 + SH_C0 * model.sh_constant[mine]
     assert np.quantile(np.abs(near["colours"] - colours), 0.99) < 0.004
     opacities = 1 / (1 + np.exp(-model.opacity_logits[mine].astype(float)))
@@ -98,8 +99,7 @@ def test_a_vanishing_gaussian_costs_the_others_no_precision(city):
     order, usual = np.argsort(model.positions[:, 0]), np.ptp(model.log_scales)
     model.log_scales[order[7], 1] = -80
     found = decoded(*whole(model))
-    errors = np.abs(found["log_scales"][np.argsort(found["positions"][:, 0])]
-                    - model.log_scales[order])
+    errors = np.abs(found["log_scales"][np.argsort(found["positions"][:, 0])] - model.log_scales[order])
     assert np.quantile(errors, 0.97) < 0.6 * usual / 255  # the smallest on each axis are clipped
 
 
@@ -113,8 +113,7 @@ def test_harmonics_that_are_zero_are_not_written(city):
 
 def written(path, city, model, **changes):
     view = city.views[0].camera
-    write_page(path, model, view, np.array([0, 0, 1.0]),
-               **{"near": city.near_plane, "title": "a city", **changes})
+    write_page(path, model, view, np.array([0, 0, 1.0]), **{"near": city.near_plane, "title": "a city", **changes})
     return path.read_text("utf-8")
 
 
@@ -151,8 +150,9 @@ def test_what_cannot_be_a_page_is_refused(tmp_path, city, monkeypatch):
 def drawn(folder, city, model, camera, **changes):
     """The picture of a page in Chromium, and ours."""
     camera = replace(camera, offset=model.offset)
-    write_page(folder / "page.html", model, camera, np.array([0, 0, 1.0]), near=city.near_plane,
-               title="city", **changes)
+    write_page(
+        folder / "page.html", model, camera, np.array([0, 0, 1.0]), near=city.near_plane, title="city", **changes
+    )
     size = camera.width, camera.height
     text = (folder / "page.html").read_text("utf-8")
     return picture_of(answer_of(folder, text, SHARP + PICTURE, size))
@@ -160,9 +160,11 @@ def drawn(folder, city, model, camera, **changes):
 
 @pytest.mark.slow
 @needs_chromium
-@pytest.mark.parametrize("degree, changes, least", [
-    (3, {}, 45), (3, {"antialiased": True, "background": (0.2, 0.5, 0.9)}, 45), (0, {}, 52)],
-    ids=["classic", "antialiased", "no harmonics"])
+@pytest.mark.parametrize(
+    "degree, changes, least",
+    [(3, {}, 45), (3, {"antialiased": True, "background": (0.2, 0.5, 0.9)}, 45), (0, {}, 52)],
+    ids=["classic", "antialiased", "no harmonics"],
+)
 @pytest.mark.one_in(2)
 def test_a_browser_draws_what_we_draw(tmp_path, item_device, city, degree, changes, least):
     """Measured: 49.4 dB with harmonics that are noise, and 54.4 without; trained models had 6 dB
@@ -256,9 +258,20 @@ def test_movement_keeps_the_world_upright(tmp_path, city):
       found.pick = camera.distance > far / 2;
       return JSON.stringify(found);"""
     found = json.loads(answer_of(tmp_path, text, SHARP + steps))
-    assert found == {"orbit": True, "upright": "0.0000", "pinch": True, "look": True,
-                     "taps": "[100,3,[200,200],0]", "coarse": True, "fast": True, "stops": True,
-                     "tap": True, "still": "0.0000", "reset": True, "pick": True}
+    assert found == {
+        "orbit": True,
+        "upright": "0.0000",
+        "pinch": True,
+        "look": True,
+        "taps": "[100,3,[200,200],0]",
+        "coarse": True,
+        "fast": True,
+        "stops": True,
+        "tap": True,
+        "still": "0.0000",
+        "reset": True,
+        "pick": True,
+    }
 
 
 @pytest.mark.slow

@@ -32,8 +32,7 @@ def test_objects_are_one_short_line(photo):
     score = Score(5, 27.0, 0.875, 28.5, 0.9, ({"name": "a.jpg"},) * 999)
     assert repr(CAMERA) == "<clsplat.Camera 64 x 48, focal length 50, at (0, 0, -2)>"
     assert repr(view) == "<clsplat.View 'a.jpg': 64 x 48>"
-    assert repr(score) == ("<clsplat.Score of 5 views: PSNR 27.00 dB (28.50 after the colour fit), "
-                           "SSIM 0.8750>")
+    assert repr(score) == ("<clsplat.Score of 5 views: PSNR 27.00 dB (28.50 after the colour fit), SSIM 0.8750>")
 
 
 def test_a_view_shows_its_photo_and_its_camera(photo):
@@ -60,8 +59,9 @@ def ground(count=500, offset=(0.0, 0.0, 0.0), **changed):
     """Opaque gaussians on a floor of 20 by 20 by 1."""
     random = np.random.default_rng(0)
     made = max(2, count)
-    rows = Gaussians.from_points(random.uniform((-10, -10, 0), (10, 10, 1), (made, 3)),
-                                 random.integers(0, 255, (made, 3), np.uint8), 1).rows
+    rows = Gaussians.from_points(
+        random.uniform((-10, -10, 0), (10, 10, 1), (made, 3)), random.integers(0, 255, (made, 3), np.uint8), 1
+    ).rows
     rows = {name: values[:count] for name, values in rows.items()}
     rows = {**rows, "opacity_logits": np.full(count, 3.0, np.float32), **changed}
     return Gaussians(rows, 1, np.array(offset))
@@ -88,8 +88,9 @@ def test_a_large_model_is_shown_by_a_smaller_one(monkeypatch):
     assert kept.count == 100 and np.median(kept.opacity_logits) > 0
 
 
-@pytest.mark.parametrize("axes, up", [
-    (np.eye(3), (0, 0, 1)), (np.eye(3)[[0, 2, 1]], (0, -1, 0))], ids=["flat in z", "flat in y"])
+@pytest.mark.parametrize(
+    "axes, up", [(np.eye(3), (0, 0, 1)), (np.eye(3)[[0, 2, 1]], (0, -1, 0))], ids=["flat in z", "flat in y"]
+)
 def test_up_is_the_thin_side(axes, up):
     assert np.array_equal(likely_up(ground().positions.astype(np.float64) @ axes), up)
 

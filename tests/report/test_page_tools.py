@@ -40,10 +40,14 @@ def slab(count=2000):
     """A level, opaque square of 20 x 20 at the height 2, dark on the left of x = 0."""
     rng = np.random.default_rng(3)
     places = np.column_stack([rng.uniform(-10, 10, (count, 2)), np.full(count, 2.0)])
-    rows = {"positions": places, "log_scales": np.log(np.tile([0.4, 0.4, 0.01], (count, 1))),
-            "quaternions": np.tile([1.0, 0, 0, 0], (count, 1)),
-            "opacity_logits": np.full(count, 3.0), "sh_rest": np.zeros((count, 0, 3)),
-            "sh_constant": np.where(places[:, :1] < 0, -1.0, 1.0) * np.ones(3)}
+    rows = {
+        "positions": places,
+        "log_scales": np.log(np.tile([0.4, 0.4, 0.01], (count, 1))),
+        "quaternions": np.tile([1.0, 0, 0, 0], (count, 1)),
+        "opacity_logits": np.full(count, 3.0),
+        "sh_rest": np.zeros((count, 0, 3)),
+        "sh_constant": np.where(places[:, :1] < 0, -1.0, 1.0) * np.ones(3),
+    }
     return Gaussians({name: values.astype(np.float32) for name, values in rows.items()}, 0)
 
 
@@ -52,8 +56,7 @@ def camera_above(city):
 
 
 def page_of(folder, city, **changes):
-    write_page(folder / "page.html", slab(), camera_above(city), UP,
-               **{"near": 0.1, "title": "slab", **changes})
+    write_page(folder / "page.html", slab(), camera_above(city), UP, **{"near": 0.1, "title": "slab", **changes})
     return (folder / "page.html").read_text("utf-8")
 
 
@@ -67,7 +70,10 @@ def found_in(folder, text, steps, size=(640, 480)):
 def test_lengths_heights_areas_and_coordinates(tmp_path, city):
     """Of taps at known places of a level square, by mouse and keyboard."""
     text = page_of(tmp_path, city, georeference=SITE)
-    found = found_in(tmp_path, text, """
+    found = found_in(
+        tmp_path,
+        text,
+        """
       press("KeyM");
       found.pressed = $("measure").getAttribute("aria-pressed") + $("tools").hidden;
       for (const place of [[-3, -2, 2], [3, -2, 2], [3, 2, 2]]) {
@@ -95,7 +101,8 @@ def test_lengths_heights_areas_and_coordinates(tmp_path, city):
       found.place = $("place").textContent;
       found.measured = Measure.constructor.of(
         [[0, 0, 0], [3, 0, 4], [3, 2, 4], [0, 2, 0]], [0, 0, 1]);
-    """)
+    """,
+    )
     assert found["pressed"] == "truefalse" and found["closed"] == 1
     expected = [[-3, -2, 2], [3, -2, 2], [3, 2, 2]]
     assert np.allclose(found["points"], expected, atol=0.06)
@@ -108,8 +115,7 @@ def test_lengths_heights_areas_and_coordinates(tmp_path, city):
     east, north, height = map(float, re.findall(r"(?:E|N|height) ([\d.]+)", found["place"]))
     assert np.allclose([east, north, height], [621_996, 3_456_004, 302], atol=0.1)
     exact = found["measured"]  # a slope of 5 x 2
-    assert np.allclose([exact[key] for key in ("length", "ground", "rise", "area", "mapArea")],
-                       [12, 8, 0, 10, 6])
+    assert np.allclose([exact[key] for key in ("length", "ground", "rise", "area", "mapArea")], [12, 8, 0, 10, 6])
 
 
 @pytest.mark.slow
@@ -120,18 +126,22 @@ def test_places_are_where_our_renderer_sees_the_surface(tmp_path, item_device, c
     camera = replace(city.views[3].camera.resized(480, 360), offset=model.offset)
     write_page(tmp_path / "page.html", model, camera, UP, near=city.near_plane, title="")
     spots = [(x, y) for x in range(40, 480, 40) for y in range(40, 360, 40)]
-    found = found_in(tmp_path, (tmp_path / "page.html").read_text("utf-8"), f"""
+    found = found_in(
+        tmp_path,
+        (tmp_path / "page.html").read_text("utf-8"),
+        f"""
       found.depths = [];
       for (const [x, y] of {json.dumps(spots)}) {{
         const place = await view.surfaceAt(x + 0.5, y + 0.5);
         found.depths.push(place ? seen(place)[2] : null);
-      }}""", (480, 360))
+      }}""",
+        (480, 360),
+    )
     renderer, rows = open_model(item_device, model, city.near_plane)
     frame = renderer.render(rows, renderer.pack(camera), 480, 360, 0, with_depth=True)
     cover = 1 - frame.blended.transmittance.download()
     depth = (frame.blended.depth.download() / np.maximum(cover, 1e-6)).reshape(360, 480)
-    ours = np.array([depth[y, x] if cover.reshape(360, 480)[y, x] > 0.9 else np.nan
-                     for x, y in spots])
+    ours = np.array([depth[y, x] if cover.reshape(360, 480)[y, x] > 0.9 else np.nan for x, y in spots])
     theirs = np.array([np.nan if each is None else each for each in found["depths"]])
     errors = np.abs(theirs / ours - 1)[np.isfinite(ours)]
     assert len(errors) > 15 and np.nanmedian(errors) < 0.02 and not np.isnan(errors).any()
@@ -141,7 +151,10 @@ def test_places_are_where_our_renderer_sees_the_surface(tmp_path, item_device, c
 @needs_chromium
 def test_scale_north_heights_and_cut(tmp_path, city):
     text = page_of(tmp_path, city, georeference=SITE)
-    found = found_in(tmp_path, text, """
+    found = found_in(
+        tmp_path,
+        text,
+        """
       found.scale = $("scale").textContent.trim();
       const bar = $("bar_length").getBoundingClientRect().width, centre = camera.centre();
       found.bar = bar;
@@ -173,10 +186,10 @@ def test_scale_north_heights_and_cut(tmp_path, city):
       slide(turn, 1000); found.shares.turned = lit(pixels()) / whole;
       $("uncut").click(); found.shares.all = lit(pixels()) / whole;
       slide(west, 500); slide(east, 500); found.shares.none = lit(pixels()) / whole;
-    """)
+    """,
+    )
     number, unit = found["scale"].split()
-    assert unit == "m" and float(number) in (1, 2, 5) and found["bar"] == pytest.approx(
-        found["two"], rel=0.02)
+    assert unit == "m" and float(number) in (1, 2, 5) and found["bar"] == pytest.approx(found["two"], rel=0.02)
     turned = float(re.search(r"\((.*)rad", found["arrow"])[1])
     assert np.cos(turned + found["angle"]) == pytest.approx(1, abs=1e-3) and found["north"] > 0.5
     assert found["plain"][0] == found["plain"][1] > 150 and found["again"] == found["plain"]
@@ -193,15 +206,20 @@ def photos(city, picture=True):
     grey = np.full((60, 80, 3), 200, np.uint8)
     jpeg = encode_image(grey, "jpg", 80, "JPEG") if picture else b""
     looking = city.views[0].camera.looking_at
-    return [Photo(f"<b>{number}", looking([x, 0, 2], [x, -3, 12], width=400, height=300), jpeg)
-            for number, x in enumerate((-4, 0, 4))]
+    return [
+        Photo(f"<b>{number}", looking([x, 0, 2], [x, -3, 12], width=400, height=300), jpeg)
+        for number, x in enumerate((-4, 0, 4))
+    ]
 
 
 @pytest.mark.slow
 @needs_chromium
 def test_photos_are_listed_drawn_and_laid_over_the_picture(tmp_path, city):
     text = page_of(tmp_path, city, photos=photos(city))
-    found = found_in(tmp_path, text, """
+    found = found_in(
+        tmp_path,
+        text,
+        """
       await until(() => Photos.all.length);
       const names = [...$("photos").querySelectorAll("button")];
       found.names = names.map((each) => each.textContent);
@@ -232,7 +250,8 @@ def test_photos_are_listed_drawn_and_laid_over_the_picture(tmp_path, city):
       camera.orbit(0.2, 0); view.moved();
       await until(() => $("photo").hidden);
       found.left = $("card").hidden;
-    """)
+    """,
+    )
     assert found["names"] == ["<b>0", "<b>1", "<b>2"] and found["tapped"] == "<b>1"
     assert np.allclose(found["position"], [4, -3, 12], atol=1e-3)
     assert np.allclose(found["ofPhoto"], found["ofPicture"], atol=1.5)
@@ -245,8 +264,11 @@ def test_photos_are_listed_drawn_and_laid_over_the_picture(tmp_path, city):
 @pytest.mark.one_in(2)
 def test_views_are_kept_and_linked(tmp_path, city, still):
     text = page_of(tmp_path, city)
-    asked = ("<script>matchMedia = () => ({ matches: true });</script>" if still else "")
-    found = found_in(tmp_path, text.replace("<head>", f"<head>{asked}", 1), """
+    asked = "<script>matchMedia = () => ({ matches: true });</script>" if still else ""
+    found = found_in(
+        tmp_path,
+        text.replace("<head>", f"<head>{asked}", 1),
+        """
       const first = camera.pose;
       camera.orbit(0.5, -0.1); view.moved();
       const pose = camera.pose, near = (a, b) => a.every((x, k) => Math.abs(x - b[k]) < 1e-5);
@@ -281,7 +303,8 @@ def test_views_are_kept_and_linked(tmp_path, city, still):
         each.textContent || each.getAttribute("aria-label") || each.closest("label")));
       found.nameless = labels.map(({ id }) => id);
       found.canvas = canvas.getAttribute("aria-describedby") + canvas.getAttribute("role");
-    """)
+    """,
+    )
     assert found["kept"] == "the <b>yard×" and found["forgotten"] == "" and found["hash"]
     assert found["refused"] and found["bounded"] and found["nameless"] == []
     assert found["frames"] == 1 if still else found["frames"] >= 2
@@ -293,7 +316,11 @@ def test_views_are_kept_and_linked(tmp_path, city, still):
 def test_a_page_shows_a_poster_and_its_share_while_it_loads(tmp_path, city):
     grey = encode_image(np.full((60, 80, 3), 200, np.uint8), "jpg", 80, "JPEG")
     text = page_of(tmp_path, city, poster=grey)
-    found = json.loads(answer_of(tmp_path, text, """
+    found = json.loads(
+        answer_of(
+            tmp_path,
+            text,
+            """
       const found = {}, frame = document.createElement("iframe");
       Object.assign(frame, { width: 640, height: 480 });
       document.body.append(frame);
@@ -311,6 +338,8 @@ def test_a_page_shows_a_poster_and_its_share_while_it_loads(tmp_path, city):
       part.close();
       await until(() => frame.contentWindow.viewer.sharp);
       found.end = notice.textContent + part.querySelectorAll("#poster").length;
-      return JSON.stringify(found);"""))
+      return JSON.stringify(found);""",
+        )
+    )
     assert re.fullmatch(r"Loading the model … (49|50) %", found["notice"])
     assert found["poster"] == [0, 0, 640, 480] and found["end"] == "0"

@@ -10,9 +10,13 @@ NOTHING = (np.zeros(0), np.zeros(0))
 
 
 def test_a_curve_keeps_points_with_both_numbers():
-    records = [{"event": "eval", "t": 1, "v": 2}, {"event": "step", "t": 2, "v": 3},
-               {"event": "eval", "t": 3, "v": None}, {"event": "eval", "t": 4},
-               {"event": "eval", "t": 0, "v": 0}]
+    records = [
+        {"event": "eval", "t": 1, "v": 2},
+        {"event": "step", "t": 2, "v": 3},
+        {"event": "eval", "t": 3, "v": None},
+        {"event": "eval", "t": 4},
+        {"event": "eval", "t": 0, "v": 0},
+    ]
     assert [list(part) for part in scores.curve(records, "t", "v", "eval")] == [[1, 0], [2, 0]]
     assert [list(part) for part in scores.curve(records, "t", "v")] == [[1, 2, 0], [2, 3, 0]]
     assert [len(part) for part in scores.curve([], "t", "v")] == [0, 0]
@@ -24,8 +28,9 @@ def test_values_are_linear_between_points_and_unknown_outside():
     assert scores.value_at(NOTHING, 1) is None
 
 
-@pytest.mark.parametrize("level, answer", [
-    (12.5, (1.5, False)), (20, (3.0, False)), (10, (1.0, True)), (7, (1.0, True)), (20.1, None)])
+@pytest.mark.parametrize(
+    "level, answer", [(12.5, (1.5, False)), (20, (3.0, False)), (10, (1.0, True)), (7, (1.0, True)), (20.1, None)]
+)
 def test_when_a_level_is_reached(level, answer):
     assert scores.reached(LINE, level) == answer
     assert scores.reached(NOTHING, level) is None

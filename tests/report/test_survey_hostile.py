@@ -17,8 +17,14 @@ from clsplat.scene import Scene, View
 from tests.evaluation.test_pictures import pictures
 from tests.report.test_report import Balanced, bare_run, headings
 
-SFM = {"photos": 42, "registered": 40, "points": 1200, "mean_track_length": 5.25,
-       "reprojection_error_pixels": 0.734, "not_registered": {"a<b>.jpg": "matches no other photo"}}
+SFM = {
+    "photos": 42,
+    "registered": 40,
+    "points": 1200,
+    "mean_track_length": 5.25,
+    "reprojection_error_pixels": 0.734,
+    "not_registered": {"a<b>.jpg": "matches no other photo"},
+}
 
 
 def flight(count=12, names="{}.jpg"):
@@ -40,9 +46,12 @@ def residual(name, role="control", pixels=None, east=0.3, north=0.4, up=1.2):
 
 def measured(scene, residuals=(), said=(), size=0.0, vertical=""):
     """The scene with the fields that newer georeferences have."""
-    return replace(scene, georeference=replace(
-        scene.georeference, residuals=tuple(residuals), warnings=tuple(said), size=size,
-        vertical=vertical))
+    return replace(
+        scene,
+        georeference=replace(
+            scene.georeference, residuals=tuple(residuals), warnings=tuple(said), size=size, vertical=vertical
+        ),
+    )
 
 
 def stored(scene, folder, record):
@@ -75,8 +84,7 @@ def test_numbers_of_a_flight_that_can_be_computed_by_hand(tmp_path):
 
 
 def test_residuals_by_axis():
-    found = spreads([residual("a", east=3, north=4, up=None), residual("b", east=-3, north=4,
-                                                                       up=2)])
+    found = spreads([residual("a", east=3, north=4, up=None), residual("b", east=-3, north=4, up=2)])
     assert (found["east"].mean, found["east"].sigma, found["east"].rms) == (0, 3, 3)
     assert found["north"].mean == 4 and found["north"].sigma == 0
     assert found["up"].mean == found["up"].rms == 2  # of the one that is known
@@ -88,19 +96,37 @@ ROWS = [residual("0.jpg"), residual("1.jpg", "left out", east=300), residual("<G
 # name -> (scene, words that the section has, words that it lacks); None: there is no section
 SCENES = {
     "neither": (lambda: replace(flight(), georeference=None), None, ()),
-    "older georeference": (flight, ("50 cm along the ground", "unknown: the vertical system"),
-                           ("Warning", "Residuals:", "extends over")),
-    "residuals": (lambda: measured(flight(), ROWS), (
-        "Residuals: GPS of photos, which decided the place (1)",
-        "Residuals: ground control points, which took no part (1)",
-        "&lt;GCP&gt;", "CE90", "left out</td><td>1.jpg"), ("<GCP>",)),
-    "no points": (lambda: replace(flight(), points=np.zeros((0, 3)),
-                                  colours=np.zeros((0, 3), np.uint8)), ("photos used",),
-                  ("overlap</td>", "sampling")),
-    "points that are not finite": (lambda: replace(flight(), points=np.where(
-        np.arange(4000)[:, None] < 9, np.nan, flight().points)), ("photos look at a place",), ()),
-    "names with markup": (lambda: measured(flight(names="<b>{}.jpg"), [
-        residual("<b>0.jpg", "left out")]), ("&lt;b&gt;0.jpg",), ("<b>0.jpg",)),
+    "older georeference": (
+        flight,
+        ("50 cm along the ground", "unknown: the vertical system"),
+        ("Warning", "Residuals:", "extends over"),
+    ),
+    "residuals": (
+        lambda: measured(flight(), ROWS),
+        (
+            "Residuals: GPS of photos, which decided the place (1)",
+            "Residuals: ground control points, which took no part (1)",
+            "&lt;GCP&gt;",
+            "CE90",
+            "left out</td><td>1.jpg",
+        ),
+        ("<GCP>",),
+    ),
+    "no points": (
+        lambda: replace(flight(), points=np.zeros((0, 3)), colours=np.zeros((0, 3), np.uint8)),
+        ("photos used",),
+        ("overlap</td>", "sampling"),
+    ),
+    "points that are not finite": (
+        lambda: replace(flight(), points=np.where(np.arange(4000)[:, None] < 9, np.nan, flight().points)),
+        ("photos look at a place",),
+        (),
+    ),
+    "names with markup": (
+        lambda: measured(flight(names="<b>{}.jpg"), [residual("<b>0.jpg", "left out")]),
+        ("&lt;b&gt;0.jpg",),
+        ("<b>0.jpg",),
+    ),
 }
 
 
@@ -119,8 +145,11 @@ def test_a_section_of_what_is_known(name):
 
 RECORDS = {
     "whole": (SFM, ("12 of 42", "Photos that were not used", "a&lt;b&gt;.jpg", "0.73"), ()),
-    "warnings": ({"warnings": ["not <georeferenced>", "not <georeferenced>"]},
-                 ("Warning: not &lt;georeferenced&gt;",), ("<georeferenced>",)),
+    "warnings": (
+        {"warnings": ["not <georeferenced>", "not <georeferenced>"]},
+        ("Warning: not &lt;georeferenced&gt;",),
+        ("<georeferenced>",),
+    ),
     "cut": (json.dumps(SFM)[:40], ("<td>12</td>",), ("reprojection",)),
     "words for numbers": ({"photos": "many", "points": "<x>"}, ("survey could not be",), ("<x>",)),
 }
@@ -135,8 +164,10 @@ def test_a_record_of_sfm_that_is_damaged_costs_no_page(name, tmp_path):
 
 
 def test_a_camera_is_coloured_by_its_residual_if_that_is_known():
-    scene = measured(flight(3), [residual("0.jpg"), residual("0.jpg", pixels=2.0, east=99.0),
-                                 residual("2.jpg", "left out", east=5.0, up=None)])
+    scene = measured(
+        flight(3),
+        [residual("0.jpg"), residual("0.jpg", pixels=2.0, east=99.0), residual("2.jpg", "left out", east=5.0, up=None)],
+    )
     found = survey_of(scene).camera_residuals
     assert found[0] == pytest.approx(1.3) and np.isnan(found[1]) and found[2] > 5
     html = survey_maps(survey_of(scene))
@@ -152,14 +183,16 @@ def test_a_camera_is_coloured_by_its_residual_if_that_is_known():
     assert "north" not in survey_maps(survey_of(replace(flight(3), georeference=None)))
 
 
-@pytest.mark.parametrize("metres, words", [(0.0054, "5.4 mm"), (0.049, "4.9 cm"), (57.04, "57 m"),
-                                           (999.0, "999 m"), (12345.6, "12,346 m")])
+@pytest.mark.parametrize(
+    "metres, words", [(0.0054, "5.4 mm"), (0.049, "4.9 cm"), (57.04, "57 m"), (999.0, "999 m"), (12345.6, "12,346 m")]
+)
 def test_lengths_for_people(metres, words):
     assert length(metres) == words
 
 
-@pytest.mark.parametrize("square, words", [(85.0, "85 m²"), (11400, "1.14 ha"), (2.4e6, "240 ha"),
-                                           (3.2e7, "3,200 ha"), (0.0, "0 m²")])
+@pytest.mark.parametrize(
+    "square, words", [(85.0, "85 m²"), (11400, "1.14 ha"), (2.4e6, "240 ha"), (3.2e7, "3,200 ha"), (0.0, "0 m²")]
+)
 def test_areas_for_people(square, words):
     assert area(square) == words
 

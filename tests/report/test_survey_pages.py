@@ -15,21 +15,46 @@ from clsplat.report.page import Table
 from clsplat.report.survey import facts, residual_tables, warnings
 from tests.report.test_survey_hostile import flight, measured, residual
 
-POINTS = [residual(f"point {number} at the corner of the northern field", "check", 1.5, up=0.123)
-          for number in range(70)]
+POINTS = [
+    residual(f"point {number} at the corner of the northern field", "check", 1.5, up=0.123) for number in range(70)
+]
 BOUNDS = 587_000.0, 3_338_000.0, 587_400.0, 3_338_200.0
-SHEETS = [Sheet("Surface", "Heights above the ellipsoid. " * 5, np.full((40, 80, 3), 0.5), BOUNDS,
-                "m", True, (12.0, 48.0, TINTS, "height, m")),
-          Sheet("Coverage", "Dots.", np.where(np.eye(20) > 0, np.nan, 7.0), (0, 0, 0.2, 0.2),
-                "scene units", False, (0, 9, "viridis", "photos"), np.array([[0.3, 0.1]]))]
+SHEETS = [
+    Sheet(
+        "Surface",
+        "Heights above the ellipsoid. " * 5,
+        np.full((40, 80, 3), 0.5),
+        BOUNDS,
+        "m",
+        True,
+        (12.0, 48.0, TINTS, "height, m"),
+    ),
+    Sheet(
+        "Coverage",
+        "Dots.",
+        np.where(np.eye(20) > 0, np.nan, 7.0),
+        (0, 0, 0.2, 0.2),
+        "scene units",
+        False,
+        (0, 9, "viridis", "photos"),
+        np.array([[0.3, 0.1]]),
+    ),
+]
 
 
 def content():
     survey = survey_of(measured(flight(), POINTS, ["the receiver had no fix " * 9], 250.0, "EGM96"))
-    return (["Survey of $a$ field", "clsplat",
-             [Table("Warnings", ("",), [(text,) for text in warnings(survey)]),
-              Table("Survey", ("", ""), list(facts(survey))), Table("none", ("", ""), []),
-              *residual_tables(survey)], SHEETS])
+    return [
+        "Survey of $a$ field",
+        "clsplat",
+        [
+            Table("Warnings", ("",), [(text,) for text in warnings(survey)]),
+            Table("Survey", ("", ""), list(facts(survey))),
+            Table("none", ("", ""), []),
+            *residual_tables(survey),
+        ],
+        SHEETS,
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +74,14 @@ def words(figure):
 def test_what_the_pages_say(pages):
     first, *_, surface, coverage = pages
     said = " ".join(words(first))
-    for text in ("Survey of $a$ field", "Warnings the receiver", "EGM96", "10 cm a pixel",
-                 "12 photos", "extends over 250 m"):
+    for text in (
+        "Survey of $a$ field",
+        "Warnings the receiver",
+        "EGM96",
+        "10 cm a pixel",
+        "12 photos",
+        "extends over 250 m",
+    ):
         assert text in " ".join(said.split())
     table = sum((words(page) for page in pages[:-2]), [])
     assert sum(text.startswith("point ") for text in table) == 70
@@ -75,9 +106,11 @@ def test_what_the_pages_say(pages):
 def test_nothing_overlaps_or_leaves_the_paper(pages):
     for page in pages:
         paper = page.bbox
-        boxes = [(text.get_text(), text.get_window_extent())
-                 for text in [*page.texts, *(label for axes in page.axes for label in (
-                     axes.xaxis.label, axes.yaxis.label))] if text.get_text().strip()]
+        boxes = [
+            (text.get_text(), text.get_window_extent())
+            for text in [*page.texts, *(label for axes in page.axes for label in (axes.xaxis.label, axes.yaxis.label))]
+            if text.get_text().strip()
+        ]
         for number, (text, box) in enumerate(boxes):
             assert paper.x0 < box.x0 and box.x1 < paper.x1, text
             assert paper.y0 < box.y0 and box.y1 < paper.y1, text

@@ -9,11 +9,9 @@ from clsplat.schedule.plan import SceneFacts
 from clsplat.schedule.sig import Sig
 from clsplat.schedule.steps import scaled_steps
 
-FACTS = SceneFacts(size=(640, 480), count=1000, inverse_distance=20.0, photos=None,
-                  pixels=10 * 640 * 480)
+FACTS = SceneFacts(size=(640, 480), count=1000, inverse_distance=20.0, photos=None, pixels=10 * 640 * 480)
 # what the defaults may become must not matter
-SHORT = {"iterations": 6000, "levels": (4.0, 2.0, 1.0), "level_share": 0.5,
-         "rounds": 8, "densify_from": 500}
+SHORT = {"iterations": 6000, "levels": (4.0, 2.0, 1.0), "level_share": 0.5, "rounds": 8, "densify_from": 500}
 PRESETS = ("ours", "paper", "release")
 
 
@@ -50,8 +48,9 @@ def drive(schedule, frequency=flat, first=1, until=None):
         decision = None
         if iteration % schedule.observe_every == 0:
             values = {f"{v}_{a}": math.nan for v in PRESETS for a in ("mean", "max", "min")}
-            decision = schedule.observe(iteration, {
-                **values, f"{schedule.options.frequency}_mean": frequency(iteration)})
+            decision = schedule.observe(
+                iteration, {**values, f"{schedule.options.frequency}_mean": frequency(iteration)}
+            )
         taken.append((iteration, plan, decision))
     return taken
 

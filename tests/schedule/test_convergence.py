@@ -8,6 +8,8 @@ from clsplat.schedule.convergence import MEDIAN_OF, SLOPE_SHARE, WINDOW, judge
 SPACING = 100
 TESTS = ("robust", "paper", "release")
 RATE = 1e-4  # of robust: share of the frequency a step
+
+
 def sampled(values, first=0, spacing=SPACING):
     return [(first + spacing * number, float(value)) for number, value in enumerate(values)]
 
@@ -30,8 +32,7 @@ def saturating(tau, until=20_000, noise=0.0, seed=0):
     return 10 * (1 - np.exp(-t / tau)) + 10 * noise * rng.normal(size=len(t))
 
 
-@pytest.mark.parametrize("test, least", [
-    ("robust", MEDIAN_OF + 1), ("paper", 2), ("release", WINDOW)])
+@pytest.mark.parametrize("test, least", [("robust", MEDIAN_OF + 1), ("paper", 2), ("release", WINDOW)])
 def test_too_few_samples_decide_nothing(test, least):
     for count in range(least):
         verdict = judge(test, sampled([5.0] * count), RATE, 1.0)
@@ -75,8 +76,7 @@ def test_the_unit_of_length_does_not_matter(unit):
     for test in TESTS:
         # the release's window must not sit on its threshold
         for end in (3, 8, 20, 40):
-            here, there = (judge(test, sampled(values[:end] / u), RATE, inverse_distance / u)
-                           for u in (1.0, unit))
+            here, there = (judge(test, sampled(values[:end] / u), RATE, inverse_distance / u) for u in (1.0, unit))
             assert here.converged == there.converged
             if here.slope is not None:
                 assert there.slope == pytest.approx(here.slope / unit, abs=1e-12 / unit)

@@ -71,8 +71,7 @@ def sampled(photos):
         low, high = 1.0, 1e4
         for _ in range(64):
             middle = (low + high) / 2
-            low, high = (middle, high) if np.interp(
-                1 / middle, grid, spectrum) > value else (low, middle)
+            low, high = (middle, high) if np.interp(1 / middle, grid, spectrum) > value else (low, middle)
         return low
 
     r0 = min(min(8, factor_at(spectrum, spectrum[-1] / 4)) for spectrum in spectra)
@@ -90,7 +89,7 @@ def test_the_published_curve():
     for start, factor in zip(starts[:-1], factors):
         assert abs(schedule.scale(start) - factor) < 1e-6 * factor
     halfway = (starts[5] + starts[6]) / 2
-    mean = (factors[5]**-2 + factors[6]**-2) / 2
+    mean = (factors[5] ** -2 + factors[6] ** -2) / 2
     assert abs(schedule.scale(halfway) ** -2 - mean) < 1e-9
 
 
@@ -111,8 +110,7 @@ def test_the_factor_is_whole_and_changes_at_rounds_of_growth_only(plans):
 def test_rounds_and_resets(plans):
     rounds = [i + 1 for i, plan in enumerate(plans) if plan.grows]
     assert rounds == [i + 1 for i in range(600, 27000, 100)]
-    assert [i + 1 for i, plan in enumerate(plans) if plan.resets_opacity] == [
-        i + 1 for i in range(3000, 27000, 3000)]
+    assert [i + 1 for i, plan in enumerate(plans) if plan.resets_opacity] == [i + 1 for i in range(3000, 27000, 3000)]
     assert not any(plan.prunes_large for plan in plans)
 
 

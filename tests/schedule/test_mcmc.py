@@ -1,6 +1,5 @@
 """The schedule of 3DGS-MCMC: when it grows, and to how many gaussians."""
 
-
 import pytest
 
 from clsplat.options import TrainOptions, resolve

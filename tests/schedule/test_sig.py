@@ -71,7 +71,7 @@ def test_the_finest_level_always_gets_its_share(iterations, levels, frequency):
 def test_a_miss_between_hits_counts_them_anew():
     """The paper's test looks at one difference, so a single jump is a single miss."""
     kind = {"preset": "paper", "convergence_hits": 3}
-    first, = {decisions(drive(sig(**kind)))[0][0]}
+    (first,) = {decisions(drive(sig(**kind)))[0][0]}
     step = sig(**kind).observe_every
 
     def jumps(iteration):
@@ -160,8 +160,7 @@ def test_a_full_level_gathers_nothing_and_waits_for_no_round():
 def test_rounds_left_over_are_carried_by_the_release_only(preset):
     """Its extra rounds pile up, are never used up, and do not count as left over again."""
     count = 20
-    schedule = sig(preset=preset, levels=(4.0, 2.0, 1.0), iterations=60_000, rounds=count,
-                   densify_every=50)
+    schedule = sig(preset=preset, levels=(4.0, 2.0, 1.0), iterations=60_000, rounds=count, densify_every=50)
     taken = drive(schedule, flat)
     grown = [len(rounds(taken, level)) for level in schedule.levels]
     if preset == "release":
@@ -175,8 +174,7 @@ def test_rounds_left_over_are_carried_by_the_release_only(preset):
 def test_opacities_are_reset_while_growing_only():
     schedule = sig(reset_every=300)
     for iteration, plan, _ in drive(schedule):
-        assert plan.resets_opacity == (
-            plan.gathers and iteration > 1 and (iteration - 1) % 300 == 0)
+        assert plan.resets_opacity == (plan.gathers and iteration > 1 and (iteration - 1) % 300 == 0)
     assert not any(plan.resets_opacity for _, plan, _ in drive(sig()))
 
 
@@ -211,7 +209,7 @@ def test_what_is_ahead(frequency):
     for step in range(1, 5901):
         drive(schedule, frequency, first=step, until=step)
         ahead = schedule.ahead(step)
-        assert [level for level, _ in ahead] == list(schedule.levels[schedule.index:])
+        assert [level for level, _ in ahead] == list(schedule.levels[schedule.index :])
         assert sum(steps for _, steps in ahead) == pytest.approx(5900 - step)
         if schedule.index == 0:
             assert ahead[0][1] == pytest.approx(max(0, 5900 / 6 - step))
@@ -226,8 +224,14 @@ def test_what_is_ahead(frequency):
 def test_stopped_anywhere_it_goes_on_alike(preset, frequency):
     """Through JSON, at every iteration."""
     for changes in ({"rounds": 6}, {"rounds": 6, "pixels_per_gaussian": 200.0}):
-        changes = {**changes, "preset": preset, "levels": (4.0, 2.0, 1.0), "iterations": 1500,
-                   "level_share": 0.6, "densify_every": 40}
+        changes = {
+            **changes,
+            "preset": preset,
+            "levels": (4.0, 2.0, 1.0),
+            "iterations": 1500,
+            "level_share": 0.6,
+            "densify_every": 40,
+        }
         whole = drive(sig(**changes), frequency)
         assert decisions(whole)
         stopped = sig(**changes)
@@ -235,7 +239,7 @@ def test_stopped_anywhere_it_goes_on_alike(preset, frequency):
             state = json.loads(json.dumps(stopped.state()))
             stopped = sig(**changes)
             stopped.load(state)
-            step, = drive(stopped, frequency, iteration, iteration)
+            (step,) = drive(stopped, frequency, iteration, iteration)
             # nan is no equal of itself
             assert repr(step) == repr(whole[iteration - 1])
 

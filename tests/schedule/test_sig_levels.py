@@ -23,17 +23,34 @@ from clsplat.schedule.steps import worthwhile_steps
 from tests.schedule.driven_sig import FACTS, drive, lengths, options_of, rising, sig
 
 
-@pytest.mark.parametrize("side, expected", [
-    (SMALLEST_SIDE * LEVELS[0], LEVELS), (SMALLEST_SIDE * LEVELS[0] - 1, LEVELS[1:]),
-    (SMALLEST_SIDE * 2, (2.0, 1.0)), (SMALLEST_SIDE * 2 - 1, (1.0,)), (1, (1.0,))])
+@pytest.mark.parametrize(
+    "side, expected",
+    [
+        (SMALLEST_SIDE * LEVELS[0], LEVELS),
+        (SMALLEST_SIDE * LEVELS[0] - 1, LEVELS[1:]),
+        (SMALLEST_SIDE * 2, (2.0, 1.0)),
+        (SMALLEST_SIDE * 2 - 1, (1.0,)),
+        (1, (1.0,)),
+    ],
+)
 def test_levels_too_small_to_matter_are_left_out(side, expected):
     assert chosen_levels(options_of(levels=()), (side, side + 100)) == expected
     assert chosen_levels(options_of(levels=()), (side + 100, side)) == expected
 
 
-@pytest.mark.parametrize("steps, expected", [
-    (30_000, LEVELS), (3000, LEVELS), (2000, (4.0, 3.0, 2.0, 1.0)), (1200, (3.0, 2.0, 1.0)),
-    (700, (2.0, 1.0)), (600, (2.0, 1.0)), (599, (1.0,)), (1, (1.0,))])
+@pytest.mark.parametrize(
+    "steps, expected",
+    [
+        (30_000, LEVELS),
+        (3000, LEVELS),
+        (2000, (4.0, 3.0, 2.0, 1.0)),
+        (1200, (3.0, 2.0, 1.0)),
+        (700, (2.0, 1.0)),
+        (600, (2.0, 1.0)),
+        (599, (1.0,)),
+        (1, (1.0,)),
+    ],
+)
 def test_levels_for_which_there_is_no_time_are_left_out(steps, expected):
     """The coarsest of 5, 4, 3, 2, 1 has 12 of 137 parts of the steps; that of 2, 1 has a third."""
     options = options_of(levels=(), level_share="auto", iterations=steps)
@@ -42,9 +59,16 @@ def test_levels_for_which_there_is_no_time_are_left_out(steps, expected):
     assert chosen_levels(asked, (640, 480)) == asked.levels
 
 
-@pytest.mark.parametrize("steps, side, expected", [
-    (30_000, 480, (4.0, 2.0, 1.0)), (30_000, 8 * SMALLEST_SIDE, DENSE_LEVELS),
-    (350, 480, (4.0, 2.0, 1.0)), (349, 480, (2.0, 1.0)), (149, 480, (1.0,))])
+@pytest.mark.parametrize(
+    "steps, side, expected",
+    [
+        (30_000, 480, (4.0, 2.0, 1.0)),
+        (30_000, 8 * SMALLEST_SIDE, DENSE_LEVELS),
+        (350, 480, (4.0, 2.0, 1.0)),
+        (349, 480, (2.0, 1.0)),
+        (149, 480, (1.0,)),
+    ],
+)
 def test_levels_with_which_dense_points_enter(steps, side, expected):
     """The coarsest of 4, 2, 1 has a seventh of the steps, that of 2, 1 a third."""
     options = options_of(levels=(), level_share="auto", iterations=steps)
@@ -65,22 +89,25 @@ def test_coarser_levels_do_not_grow_where_points_enter():
     assert segments[-1].steps > 2000
 
 
-@pytest.mark.parametrize("side, steps, expected", [
-    (500, 3000, (2.0, 1.0)), (TILE * 2, 3000, (2.0, 1.0)), (TILE * 2 - 1, 3000, (1.0,)),
-    (500, 599, (1.0,))])
+@pytest.mark.parametrize(
+    "side, steps, expected",
+    [(500, 3000, (2.0, 1.0)), (TILE * 2, 3000, (2.0, 1.0)), (TILE * 2 - 1, 3000, (1.0,)), (500, 599, (1.0,))],
+)
 def test_a_block_begins_at_half_the_size_and_prunes_as_it_goes(side, steps, expected):
     """The coarse run, at half size, has had the levels from 3 on."""
     options = options_of(levels=(), level_share="auto", iterations=steps)
     facts = dataclasses.replace(FACTS, disagreement=lambda: 0.036)
     assert Sig.options_of_block(options, (side, side + 9), facts) == {
         "levels": expected,
-        "pixels_per_gaussian": pytest.approx(25.0)}
+        "pixels_per_gaussian": pytest.approx(25.0),
+    }
     asked = options_of(levels=(3.0, 1.0), pixels_per_gaussian=7.0)
     assert Sig.options_of_block(asked, (500, 500), facts) == {"pixels_per_gaussian": 7.0}
 
 
-@pytest.mark.parametrize("disagreement, pixels", [
-    (0.072, 100.0), (0.036, 25.0), (0.01, 15.0), (0.0, 15.0), (math.nan, 17.4)])
+@pytest.mark.parametrize(
+    "disagreement, pixels", [(0.072, 100.0), (0.036, 25.0), (0.01, 15.0), (0.0, 15.0), (math.nan, 17.4)]
+)
 def test_the_more_photos_disagree_the_more_pixels_a_gaussian_needs(disagreement, pixels):
     facts = dataclasses.replace(FACTS, disagreement=lambda: disagreement)
     limit, reason = Sig.planned_limit(options_of(), facts)
@@ -92,9 +119,19 @@ def test_the_more_photos_disagree_the_more_pixels_a_gaussian_needs(disagreement,
     assert Sig.planned_limit(options_of(pixels_per_gaussian=0.0), facts)[0] is None
 
 
-@pytest.mark.parametrize("disagreement, shown_in, steps", [
-    (0.036, 5.0, 3500), (0.036, math.nan, 3500), (0.036, 1.25, 2000), (0.072, 20.0, 3500),
-    (0.072, 5.0, 2000), (0.04, 5.0, 2551), (0.038, 4.0, 2129), (math.nan, 2.0, 3500)])
+@pytest.mark.parametrize(
+    "disagreement, shown_in, steps",
+    [
+        (0.036, 5.0, 3500),
+        (0.036, math.nan, 3500),
+        (0.036, 1.25, 2000),
+        (0.072, 20.0, 3500),
+        (0.072, 5.0, 2000),
+        (0.04, 5.0, 2551),
+        (0.038, 4.0, 2129),
+        (math.nan, 2.0, 3500),
+    ],
+)
 def test_the_fewer_photos_show_a_place_the_fewer_steps_they_allow(disagreement, shown_in, steps):
     """The mean of n colours has an error of their deviation / sqrt(n); 40 photos, 50 steps each."""
     facts = dataclasses.replace(FACTS, disagreement=lambda: disagreement, shown_in=shown_in)

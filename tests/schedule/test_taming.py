@@ -13,19 +13,18 @@ from clsplat.schedule.steps import scaled_steps
 from clsplat.schedule.taming import Taming
 
 START, BUDGET = 1000, 5.0
-OPTIONS = scaled_steps(TrainOptions(
-    iterations=30000, schedule="taming", taming_budget=BUDGET, densify_every=500))
+OPTIONS = scaled_steps(TrainOptions(iterations=30000, schedule="taming", taming_budget=BUDGET, densify_every=500))
 
 
 def schedule_of(**changes):
-    return Taming(dataclasses.replace(OPTIONS, **changes),
-                  SceneFacts((640, 480), START, 1.0, photos=None, pixels=10**8))
+    return Taming(
+        dataclasses.replace(OPTIONS, **changes), SceneFacts((640, 480), START, 1.0, photos=None, pixels=10**8)
+    )
 
 
 def targets(schedule, count=0):
     o = schedule.options
-    return [schedule.target(i, count, 0) for i in range(1, o.iterations + 1)
-            if schedule.plan(i).grows]
+    return [schedule.target(i, count, 0) for i in range(1, o.iterations + 1) if schedule.plan(i).grows]
 
 
 def test_it_is_known_by_name_and_grows_by_score():

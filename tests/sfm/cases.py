@@ -33,7 +33,7 @@ def picture(height=48, width=64, seed=0):
     y, x = np.mgrid[:height, :width]
     for _ in range(height * width // 150):
         size, at = rng.uniform(1.5, 5), rng.uniform(0, 1, 2) * (height, width)
-        blob = np.exp(-((y - at[0])**2 + (x - at[1])**2) / (2 * size**2))
+        blob = np.exp(-((y - at[0]) ** 2 + (x - at[1]) ** 2) / (2 * size**2))
         pixels += blob[..., None] * rng.uniform(-90, 140, 3)
     return np.clip(pixels, 0, 255).astype(np.uint8)
 

@@ -19,8 +19,14 @@ def extracted(folder, device):
     progress = Lines()
     failures = extract_features(database, photos, device, 6144, progress)
     with pycolmap.Database.open(database) as opened:
-        return [opened.read_keypoints(image_id(index)) if opened.exists_keypoints(image_id(index))
-                else None for index in range(len(photos))], failures, progress
+        return (
+            [
+                opened.read_keypoints(image_id(index)) if opened.exists_keypoints(image_id(index)) else None
+                for index in range(len(photos))
+            ],
+            failures,
+            progress,
+        )
 
 
 @pytest.mark.parametrize("working", [120, 480])
@@ -30,7 +36,7 @@ def test_features_are_in_pixels_of_the_photo(tmp_path, item_device, monkeypatch,
     y, x = np.mgrid[:180, :240] + 0.5
     pixels = np.full((180, 240, 3), 40.0)
     for at, size in (((70.0, 60.0), 10.0), ((180.0, 120.0), 9.0)):
-        pixels += 180 * np.exp(-((x - at[0])**2 + (y - at[1])**2) / (2 * size**2))[..., None]
+        pixels += 180 * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2 * size**2))[..., None]
     for name in ("a.png", "b.png", "c.png"):
         write_image(tmp_path / name, pixels.astype(np.uint8))
     keypoints, failures, _ = extracted(tmp_path, item_device)
@@ -57,14 +63,13 @@ def test_a_second_call_extracts_only_what_is_missing(tmp_path, item_device, monk
         write_image(tmp_path / f"{index}.png", picture(60, 80, index))
     damaged = tmp_path / "1.png"
     whole = damaged.read_bytes()
-    damaged.write_bytes(whole[:len(whole) // 2])
+    damaged.write_bytes(whole[: len(whole) // 2])
     keypoints, failures, _ = extracted(tmp_path, item_device)
     assert list(failures) == ["1.png"] and keypoints[1] is None
     damaged.write_bytes(whole)
     seen = []
     own = features._decoded
-    monkeypatch.setattr(features, "_decoded", lambda photo: (
-        seen.append(photo.name), own(photo))[1])
+    monkeypatch.setattr(features, "_decoded", lambda photo: (seen.append(photo.name), own(photo))[1])
     again, failures, progress = extracted(tmp_path, item_device)
     assert seen == ["1.png"] and not failures and len(again[1])
     assert np.array_equal(again[0], keypoints[0])

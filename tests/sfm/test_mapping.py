@@ -19,15 +19,21 @@ def test_a_known_scene_is_found_again(tmp_path):
     progress = Lines()
     model = map_photos(tmp_path / "d.db", cameras_of([source()]), 6, progress)
     steps = [f"global mapping, adjustment {number}" for number in range(1, 7)]
-    assert progress.phases == ["global mapping", *steps, "global mapping, without lens distortion",
-                               "triangulation", "bundle adjustment"]
+    assert progress.phases == [
+        "global mapping",
+        *steps,
+        "global mapping, without lens distortion",
+        "triangulation",
+        "bundle adjustment",
+    ]
     assert model.cameras[1].params[3] == pytest.approx(0.05, abs=1e-3)
     assert model.num_reg_images() == 6 and model.compute_mean_reprojection_error() < 0.1
     assert model.num_points3D() > 50
-    true, found = (np.array([image.projection_center() for _, image in sorted(
-        dict(scene.images).items())]) for scene in (truth, model))
-    distances = [np.linalg.norm(places[:, None] - places, axis=2)[np.triu_indices(6, 1)]
-                 for places in (true, found)]
+    true, found = (
+        np.array([image.projection_center() for _, image in sorted(dict(scene.images).items())])
+        for scene in (truth, model)
+    )
+    distances = [np.linalg.norm(places[:, None] - places, axis=2)[np.triu_indices(6, 1)] for places in (true, found)]
     ratios = distances[0] / distances[1]
     assert ratios.std() < 0.01 * ratios.mean()
 
@@ -68,8 +74,7 @@ def test_the_attempt_that_fits_best_is_taken_and_a_chosen_model_stays(tmp_path, 
             for point in image.points2D:
                 point.xy = point.xy + shift
         model.update_point_3d_errors()
-    monkeypatch.setattr(mapping, "_global", lambda database, fixed, attempts, progress:
-                        models[:attempts])
+    monkeypatch.setattr(mapping, "_global", lambda database, fixed, attempts, progress: models[:attempts])
     cameras = cameras_of([source()], "SIMPLE_RADIAL")
     assert mapping._placed(tmp_path / "d.db", cameras, False, Lines()) is models[1]
     monkeypatch.setattr(mapping, "FEW_PHOTOS", 0)
@@ -79,8 +84,11 @@ def test_the_attempt_that_fits_best_is_taken_and_a_chosen_model_stays(tmp_path, 
 def test_each_attempt_begins_with_the_matches_and_a_seed_of_its_own(tmp_path, monkeypatch):
     synthetic(tmp_path / "d.db")
     before, seeds, pipeline = (tmp_path / "d.db").read_bytes(), [], pycolmap.GlobalPipeline
-    monkeypatch.setattr(pycolmap, "GlobalPipeline", lambda options, *given: (
-        seeds.append(options.random_seed), pipeline(options, *given))[1])
+    monkeypatch.setattr(
+        pycolmap,
+        "GlobalPipeline",
+        lambda options, *given: (seeds.append(options.random_seed), pipeline(options, *given))[1],
+    )
     assert len(mapping._global(tmp_path / "d.db", False, 2, Lines())) == 2
     assert seeds == [0, 1] and (tmp_path / "d.db").read_bytes() == before
 
@@ -104,8 +112,9 @@ def test_reasons_name_what_is_missing(tmp_path):
 def test_cameras_whose_pixels_are_not_square_get_a_simpler_model(tmp_path):
     model = synthetic()
     assert _square(model)
-    model.cameras[1] = pycolmap.Camera(model="OPENCV", width=320, height=240, camera_id=1,
-                                       params=[400, 300, 160, 120, 0, 0, 0, 0])
+    model.cameras[1] = pycolmap.Camera(
+        model="OPENCV", width=320, height=240, camera_id=1, params=[400, 300, 160, 120, 0, 0, 0, 0]
+    )
     assert not _square(model)
     cameras = cameras_of([source(f"{index}.jpg") for index in range(8)])
     create_database(tmp_path / "d.db", cameras)

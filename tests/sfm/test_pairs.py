@@ -11,8 +11,7 @@ from tests.sfm.cases import Lines, source, unit_descriptors
 
 
 def located(count, spacing=1e-4):
-    return [source(f"{index:03d}.jpg", latitude=45.0, longitude=7 + spacing * index)
-            for index in range(count)]
+    return [source(f"{index:03d}.jpg", latitude=45.0, longitude=7 + spacing * index) for index in range(count)]
 
 
 def test_few_photos_are_matched_all_with_all():
@@ -30,8 +29,7 @@ def test_neighbours_by_gps():
     assert {(0, 1), (30, 31), (58, 59), (20, 26)} <= set(map(tuple, rows.tolist()))
 
 
-def test_videos_and_unknown_photos_are_compared_by_their_largest_features(
-        tmp_path, item_device):
+def test_videos_and_unknown_photos_are_compared_by_their_largest_features(tmp_path, item_device):
     """Of two places that the photos show in turn, and a damaged photo."""
     photos = [source(f"{index:02d}.jpg") for index in range(50)]
     path = tmp_path / "d.db"

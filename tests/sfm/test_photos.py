@@ -1,14 +1,18 @@
 """Which files are photos, which share a camera, and which mask belongs to which."""
 
-
 import pytest
 
 from clsplat.errors import InputError
 from clsplat.sfm.photos import cameras_of, find_photos
 from tests.sfm.cases import folder_of, source
 
-EXIF = {"Make": "A", "Model": "B", "Exif:FocalLength": 5.0,
-        "Exif:FocalPlaneXResolution": 254.0, "Exif:FocalPlaneResolutionUnit": 2}
+EXIF = {
+    "Make": "A",
+    "Model": "B",
+    "Exif:FocalLength": 5.0,
+    "Exif:FocalPlaneXResolution": 254.0,
+    "Exif:FocalPlaneResolutionUnit": 2,
+}
 
 
 def test_subfolders_are_searched_and_other_files_left_out(tmp_path):
@@ -37,12 +41,15 @@ def test_masks_of_another_shape_are_refused(tmp_path):
         find_photos(tmp_path)
 
 
-@pytest.mark.parametrize("names, masks, words", [
-    (["a.jpg", "b.jpg"], None, "2 photos that can be read"),
-    (["a.heic", "b.dng"], None, "a.heic: not an image that can be read"),
-    (["a.jpg", "b.jpg", "c.jpg"], "elsewhere", "no such folder"),
-    (["a.jpg", "b.jpg", "c.jpg"], ".", "has a mask for none of the photos"),
-])
+@pytest.mark.parametrize(
+    "names, masks, words",
+    [
+        (["a.jpg", "b.jpg"], None, "2 photos that can be read"),
+        (["a.heic", "b.dng"], None, "a.heic: not an image that can be read"),
+        (["a.jpg", "b.jpg", "c.jpg"], "elsewhere", "no such folder"),
+        (["a.jpg", "b.jpg", "c.jpg"], ".", "has a mask for none of the photos"),
+    ],
+)
 def test_what_cannot_be_reconstructed_is_refused(tmp_path, names, masks, words):
     readable = [name for name in names if name.endswith("jpg")]
     folder_of(tmp_path / "in", readable or ["a/one.jpg"])
@@ -51,8 +58,7 @@ def test_what_cannot_be_reconstructed_is_refused(tmp_path, names, masks, words):
             (tmp_path / "in" / name).write_bytes(b"raw")
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match=words):
-        find_photos(tmp_path / "in", masks and (tmp_path / "empty" if masks == "." else
-                                                tmp_path / masks))
+        find_photos(tmp_path / "in", masks and (tmp_path / "empty" if masks == "." else tmp_path / masks))
 
 
 def test_photos_of_a_body_and_a_lens_share_a_camera(tmp_path):
@@ -79,5 +85,5 @@ def test_photos_without_metadata_share_the_camera_of_their_folder():
 
 def test_the_makers_calibration_counts_first():
     known = (60.0, 58.0, 31.0, 26.0, -0.4, 0.3, 0.01, 0.02)
-    camera, = cameras_of([source(camera="DJI", calibration=known, focal_pixels=70.0)])
+    (camera,) = cameras_of([source(camera="DJI", calibration=known, focal_pixels=70.0)])
     assert (camera.model, camera.focal, camera.calibration) == ("OPENCV", 59, known)

@@ -36,9 +36,15 @@ def finished(folder, *names):
     return folder
 
 
-@pytest.mark.parametrize("source, words", [
-    ("typo", "no such folder"), ("typo.mp4", "no such file|needs PyAV"),
-    ("few", "a reconstruction needs at least 3"), ("out/images", "out/images: is in .*/out, who")])
+@pytest.mark.parametrize(
+    "source, words",
+    [
+        ("typo", "no such folder"),
+        ("typo.mp4", "no such file|needs PyAV"),
+        ("few", "a reconstruction needs at least 3"),
+        ("out/images", "out/images: is in .*/out, who"),
+    ],
+)
 def test_a_scene_is_replaced_only_if_there_are_photos(tmp_path, source, words):
     output = finished(tmp_path / "out", "a.jpg", "b.jpg", "c.jpg")
     folder_of(tmp_path / "few", ["a.jpg"])
@@ -69,8 +75,7 @@ def test_a_scene_whose_place_was_asked_for_is_kept_without_it(tmp_path, monkeypa
         assert len(read_scene(tmp_path / "out").views) == 6
     assert clsplat_("sfm", "-q", photos, "-o", tmp_path / "out").output == ""
     assert not (tmp_path / "out/.sfm").exists() and len(mapped) == 1
-    assert "holds a reconstructed scene already" in clsplat_(
-        "sfm", photos, "-o", tmp_path / "out").output
+    assert "holds a reconstructed scene already" in clsplat_("sfm", photos, "-o", tmp_path / "out").output
 
 
 def test_what_is_kept_belongs_to_the_same_photos_and_options(tmp_path):
@@ -93,8 +98,7 @@ def test_mapping_is_kept(tmp_path):
     kept = Unfinished(tmp_path)
     kept.keep(synthetic(), [source(f"{index} a.jpg") for index in range(6)])
     assert kept.has_model and kept.model().num_points3D() == 60
-    assert {image.name for image in kept.model().images.values()} == {
-        f"{index} a.jpg" for index in range(6)}
+    assert {image.name for image in kept.model().images.values()} == {f"{index} a.jpg" for index in range(6)}
 
 
 def test_train_makes_a_scene_of_photos_once(tmp_path, monkeypatch):
@@ -139,11 +143,12 @@ def copied_city(folder, count=12):
         spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, oiio.UINT8)
         spec.attribute("Compression", "jpeg:97")
         spec.attribute("Exif:FocalLengthIn35mmFilm", 30)
-        for name, value, reference in (("Latitude", LATITUDE + north / METRES_PER_DEGREE[0], "N"),
-                                       ("Longitude", LONGITUDE + east / METRES_PER_DEGREE[1], "E")):
+        for name, value, reference in (
+            ("Latitude", LATITUDE + north / METRES_PER_DEGREE[0], "N"),
+            ("Longitude", LONGITUDE + east / METRES_PER_DEGREE[1], "E"),
+        ):
             minutes, seconds = divmod(value % 1 * 3600, 60)
-            spec.attribute(f"GPS:{name}", oiio.TypeDesc("float[3]"),
-                           (float(int(value)), minutes, seconds))
+            spec.attribute(f"GPS:{name}", oiio.TypeDesc("float[3]"), (float(int(value)), minutes, seconds))
             spec.attribute(f"GPS:{name}Ref", reference)
         spec.attribute("GPS:Altitude", float(up + 100))
         path = str((folder / view.name).with_suffix(".jpg"))
@@ -155,8 +160,9 @@ def copied_city(folder, count=12):
 def killed(words, waited_for):
     """A command whose process is killed once a file of its scene is there."""
     output = words[words.index("-o") + 1]
-    process = subprocess.Popen([sys.executable, "-m", "clsplat", *map(str, words)],
-                               stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "clsplat", *map(str, words)], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+    )
     while not (output / waited_for).exists():
         assert process.poll() is None
         time.sleep(0.01)
@@ -179,8 +185,9 @@ def test_a_reconstruction_killed_at_any_place_continues_and_ends_in_metres(tmp_p
     scene = read_scene(tmp_path / "out")
     assert scene.georeference.crs == "EPSG:32632" and scene.georeference.residual < 1
     assert scene.up.tolist() == [0, 0, 1]
-    found, true = (np.array([view.camera.position + whole.offset for view in whole.views[:12]])
-                   for whole in (scene, truth))
+    found, true = (
+        np.array([view.camera.position + whole.offset for view in whole.views[:12]]) for whole in (scene, truth)
+    )
     away = found + scene.georeference.offset - found.mean(axis=0) - (true - true.mean(axis=0))
     away -= away.mean(axis=0)
     # twelve small photos from one height leave the focal length, and so the bending, uncertain
@@ -193,13 +200,15 @@ def control_file(path, truth, count, marked):
     views, lines = truth.views[:count], ["EPSG:32632", "name,x,y,z,pixel_x,pixel_y,image"]
     seen = np.array([view.sees(truth.points) for view in views])
     often = np.flatnonzero(seen.sum(axis=0) >= 4)
-    chosen = often[::max(1, len(often) // marked)][:marked]
+    chosen = often[:: max(1, len(often) // marked)][:marked]
     for number in chosen:
         east, north, up = truth.points[number] + truth.offset
         for view in (view for view, sees in zip(views, seen[:, number]) if sees):
             x, y = view.camera.project(truth.points[[number]])[0][0]
-            lines.append(f"P{number},{east + 500_000},{north + NORTHING},{up + 100},{x},{y},"
-                         f"{Path(view.name).with_suffix('.jpg')}")
+            lines.append(
+                f"P{number},{east + 500_000},{north + NORTHING},{up + 100},{x},{y},"
+                f"{Path(view.name).with_suffix('.jpg')}"
+            )
     path.write_text("\n".join(lines) + "\n")
     return [f"P{number}" for number in chosen]
 
@@ -222,7 +231,8 @@ def test_control_points_take_out_the_bending_after_a_kill(tmp_path):
     scene = read_scene(tmp_path / "out")
     assert scene.georeference.residual < 0.05 and scene.georeference.offset[2] > 90
     assert scene.georeference.crs == "EPSG:32632" and scene.up.tolist() == [0, 0, 1]
-    found, true = (np.array([view.camera.position + whole.offset for view in whole.views[:12]])
-                   for whole in (scene, truth))
+    found, true = (
+        np.array([view.camera.position + whole.offset for view in whole.views[:12]]) for whole in (scene, truth)
+    )
     away = found + scene.georeference.offset - true - (500_000, NORTHING, 100)
     assert np.linalg.norm(away, axis=1).max() < 0.4

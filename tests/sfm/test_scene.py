@@ -29,8 +29,14 @@ def made(tmp_path):
     for number, image in sorted(dict(model.images).items()):
         image.name = f"sub/{number}.png"
         write_image(tmp_path / f"{number}.png", pixels)
-        photos.append(SourcePhoto(image.name, tmp_path / f"{number}.png", PhotoMetadata(320, 240),
-                                  tmp_path / "mask.png" if number == 6 else None))
+        photos.append(
+            SourcePhoto(
+                image.name,
+                tmp_path / f"{number}.png",
+                PhotoMetadata(320, 240),
+                tmp_path / "mask.png" if number == 6 else None,
+            )
+        )
     names = write_scene(tmp_path / "scene", model, photos, Lines())
     assert names == [photo.name for photo in photos]
     return tmp_path / "scene", model, photos
@@ -61,8 +67,13 @@ def test_points_are_where_the_undistorted_photos_show_them(made):
 def test_points_have_the_colours_of_the_photos(made):
     folder, model, _ = made
     numbers = sorted(model.point3D_ids())
-    seen = [[model.images[element.image_id].points2D[element.point2D_idx].xy
-             for element in model.point3D(number).track.elements] for number in numbers]
+    seen = [
+        [
+            model.images[element.image_id].points2D[element.point2D_idx].xy
+            for element in model.point3D(number).track.elements
+        ]
+        for number in numbers
+    ]
     expected = [np.mean(np.floor(at), axis=0) * (0.75, 1) for at in seen]
     colours = read_scene(folder).colours
     assert np.abs(colours[:, :2] - expected).max() < 1.6 and not colours[:, 2].any()
@@ -72,8 +83,10 @@ def test_points_have_the_colours_of_the_photos(made):
 def test_photos_outlive_their_source_and_are_not_written_again(made, monkeypatch, has_links):
     folder, model, photos = made
     if not has_links:
+
         def refuse(*_):
             raise OSError(errno.EXDEV, "another disk")
+
         monkeypatch.setattr(os, "link", refuse)
     first, other = folder / "images" / photos[0].name, folder / "images" / photos[1].name
     before = read_image(first)

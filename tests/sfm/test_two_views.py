@@ -31,9 +31,13 @@ def database_of(path, is_flat=False, focal=FOCAL):
         points[FLAT:, 2] += 0.6
     kinds, order = unit_descriptors(rng, COUNT), rng.permutation(COUNT)
     with pycolmap.Database.open(path) as database:
-        for index, (shown, seen) in enumerate((
-                (points, kinds), ((points - (0.6, 0.1, 0))[order] @ TURN, kinds[order]),
-                (points[::-1], unit_descriptors(rng, COUNT)))):
+        for index, (shown, seen) in enumerate(
+            (
+                (points, kinds),
+                ((points - (0.6, 0.1, 0))[order] @ TURN, kinds[order]),
+                (points[::-1], unit_descriptors(rng, COUNT)),
+            )
+        ):
             pixels = shown[:, :2] / shown[:, 2:] * FOCAL + np.divide(SIZE, 2)
             keypoints = np.zeros((COUNT, 4), np.float32)
             keypoints[:, :2] = pixels + rng.normal(0, 0.3, pixels.shape)
@@ -51,10 +55,12 @@ def found(path, first, second):
         return database.read_two_view_geometry(*ids).inlier_matches, database.read_matches(*ids)
 
 
-@pytest.mark.parametrize("is_flat, focal, few", [
-    (False, FOCAL, FEW), (False, None, FEW), (True, None, FEW), (True, None, COUNT)])
+@pytest.mark.parametrize(
+    "is_flat, focal, few", [(False, FOCAL, FEW), (False, None, FEW), (True, None, FEW), (True, None, COUNT)]
+)
 def test_all_features_are_matched_by_the_geometry_of_the_largest(
-        tmp_path, item_device, monkeypatch, is_flat, focal, few):
+    tmp_path, item_device, monkeypatch, is_flat, focal, few
+):
     """Also those away from a plane, if enough of the largest show how the cameras moved."""
     monkeypatch.setattr(two_views, "FEW", few)
     monkeypatch.setattr(two_views, "MANY", few)
@@ -86,14 +92,16 @@ def test_more_features_are_compared_where_few_do_not_suffice(tmp_path, item_devi
     assert len(found(path, 0, 1)[0]) > 0.97 * COUNT
 
 
-def test_what_is_matched_is_not_matched_again_and_a_full_disk_is_named(
-        tmp_path, item_device, monkeypatch):
+def test_what_is_matched_is_not_matched_again_and_a_full_disk_is_named(tmp_path, item_device, monkeypatch):
     path = tmp_path / "d.db"
     database_of(path)
     match_pairs(path, PAIRS[:2], item_device, Lines())
     done = []
-    monkeypatch.setattr(two_views, "_matched", lambda device, photos, pairs, pool: done.append(
-        len(pairs)) or [pycolmap.TwoViewGeometry() for _ in pairs])
+    monkeypatch.setattr(
+        two_views,
+        "_matched",
+        lambda device, photos, pairs, pool: done.append(len(pairs)) or [pycolmap.TwoViewGeometry() for _ in pairs],
+    )
     match_pairs(path, PAIRS, item_device, Lines())
     assert done == [1]
     monkeypatch.setattr(two_views, "LEAST_FREE_BYTES", 1 << 80)

@@ -23,15 +23,16 @@ def on_plane(points):
 @pytest.fixture(scope="module")
 def scene():
     """Six views of a plane, with few sparse points."""
-    views = tuple(View(f"{number}", camera, b"")
-                  for number, camera in enumerate(cameras_of(6 * [(64, 48)])))
+    views = tuple(View(f"{number}", camera, b"") for number, camera in enumerate(cameras_of(6 * [(64, 48)])))
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(-3, 5, 400), rng.uniform(-3, 3, 400), np.zeros(400)])
     points[:, 2] = DEPTH + SLANT * points[:, 0]
-    seen = [(index, number) for number, view in enumerate(views)
-            for index in np.flatnonzero(view.camera.contains(view.camera.project(points)[0]))]
-    return Scene("plane", views, points, np.full((400, 3), 9, np.uint8),
-                 observations=np.array(seen, np.int32))
+    seen = [
+        (index, number)
+        for number, view in enumerate(views)
+        for index in np.flatnonzero(view.camera.contains(view.camera.project(points)[0]))
+    ]
+    return Scene("plane", views, points, np.full((400, 3), 9, np.uint8), observations=np.array(seen, np.int32))
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +78,7 @@ def test_the_device_has_work_while_the_host_waits(item_device, scene, photos, mo
         def function(*given):
             events.append(name)
             return call(*given)
+
         return function
 
     monkeypatch.setattr(stereo_module, "sweep", noted("launch", stereo_module.sweep))
@@ -110,8 +112,12 @@ def test_photos_that_share_nothing_leave_the_sparse_points(item_device, scene, p
 
 def points_at(positions, merged=1, size=0.01):
     positions = np.asarray(positions, float)
-    return Points(positions, np.broadcast_to([10.0, 20.0, 30.0], positions.shape),
-                  np.full(len(positions), size), np.full(len(positions), merged))
+    return Points(
+        positions,
+        np.broadcast_to([10.0, 20.0, 30.0], positions.shape),
+        np.full(len(positions), size),
+        np.full(len(positions), merged),
+    )
 
 
 def test_points_of_a_cell_become_their_weighted_mean():

@@ -20,8 +20,14 @@ STEPS, COUNT, WIDTH, HEIGHT, DEGREE = 10, 60, 32, 24, 2
 SH_EVERY = 4
 EXTENT, NEAR, SSIM_WEIGHT = 2.5, single(0.2), 0.2
 BACKGROUND = single(np.array([0.1, 0.3, 0.2]))
-RATES = {"positions": 1.6e-4, "sh_constant": 2.5e-3, "sh_rest": 1.25e-4, "opacity_logits": 5e-2,
-         "log_scales": 5e-3, "quaternions": 1e-3}  # Kerbl et al. 2023
+RATES = {
+    "positions": 1.6e-4,
+    "sh_constant": 2.5e-3,
+    "sh_rest": 1.25e-4,
+    "opacity_logits": 5e-2,
+    "log_scales": 5e-3,
+    "quaternions": 1e-3,
+}  # Kerbl et al. 2023
 
 
 def scene():
@@ -34,24 +40,33 @@ def scene():
         "quaternions": rng.normal(0, 1, (COUNT, 4)),
         "opacity_logits": rng.uniform(-2, 2, COUNT),
         "sh_constant": rng.normal(0.3, 0.8, (COUNT, 3)),
-        "sh_rest": rng.normal(0, 0.2, (COUNT, SH_BANDS[DEGREE] - 1, 3))}
+        "sh_rest": rng.normal(0, 0.2, (COUNT, SH_BANDS[DEGREE] - 1, 3)),
+    }
     cameras = [camera(angle) for angle in (-0.6, 0.1, 0.9)]
     photos = []
     for seen_by in cameras:
         image = forward(rows, seen_by, DEGREE)[2]
         photos.append(np.round(255 * np.clip(image, 0, 1)).astype(np.uint8))
     size = {"positions": 0.05, "sh_constant": 0.3, "log_scales": 0.2, "opacity_logits": 0.5}
-    disturbed = {name: values + rng.normal(0, size.get(name, 0.1), values.shape)
-                 for name, values in rows.items()}
+    disturbed = {name: values + rng.normal(0, size.get(name, 0.1), values.shape) for name, values in rows.items()}
     return single(disturbed), cameras, photos
 
 
 def camera(angle):
     """A camera four units from the origin that looks at it, turned about the y axis."""
     c, s = np.cos(angle), np.sin(angle)
-    return single({"width": WIDTH, "height": HEIGHT, "fx": 30.0, "fy": 31.0, "cx": 15.2,
-                   "cy": 12.9, "rotation": np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]),
-                   "translation": np.array([0.1, -0.05, 4.0])})
+    return single(
+        {
+            "width": WIDTH,
+            "height": HEIGHT,
+            "fx": 30.0,
+            "fy": 31.0,
+            "cx": 15.2,
+            "cy": 12.9,
+            "rotation": np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]),
+            "translation": np.array([0.1, -0.05, 4.0]),
+        }
+    )
 
 
 def forward(rows, seen_by, degree):

@@ -24,7 +24,7 @@ NOISE = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.u
 
 def cut(path, share):
     data = path.read_bytes()
-    path.write_bytes(data[:int(len(data) * share)])
+    path.write_bytes(data[: int(len(data) * share)])
 
 
 def moved(made, move):
@@ -51,9 +51,11 @@ def rewrite(made):
 
 def noise_cut(name):
     """One photo of detail, cut short: its header is whole."""
+
     def spoil(folder):
         write_image(folder / "images" / name, NOISE)
         cut(folder / "images" / name, 0.6)
+
     return spoil
 
 
@@ -64,15 +66,20 @@ SCENES = {
     "photo cut": (noise_cut("photo_2.png"), ("photo_2.png", "cut short", "copy it again")),
     "held-out photo cut": (noise_cut("photo_0.png"), ("photo_0.png", "cut short")),
     "points cut": (lambda f: cut(f / "sparse/0/points3D.bin", 0.7), ("points3D.bin", "cut short")),
-    "points swapped": (lambda f: shutil.copy(f / "sparse/0/images.bin",
-                                             f / "sparse/0/points3D.bin"), ("sparse/0",)),
+    "points swapped": (lambda f: shutil.copy(f / "sparse/0/images.bin", f / "sparse/0/points3D.bin"), ("sparse/0",)),
     "zero points": (rewrite(lambda: left(0, reconstruction())), ("sparse/0", "no points")),
-    "points equal": (rewrite(lambda: moved(reconstruction(), lambda x: np.ones(3))),
-                     ("sparse/0", "30 points all lie at one place")),
-    "points not a number": (rewrite(lambda: moved(reconstruction(), lambda x: x * np.nan)),
-                            ("sparse/0", "30 of 30 points are not finite")),
-    "distorted camera": (rewrite(lambda: reconstruction("SIMPLE_RADIAL", (50.0, 24.0, 18.0, 1e9))),
-                         ("sparse/0", "cannot be undistorted", "SIMPLE_RADIAL")),
+    "points equal": (
+        rewrite(lambda: moved(reconstruction(), lambda x: np.ones(3))),
+        ("sparse/0", "30 points all lie at one place"),
+    ),
+    "points not a number": (
+        rewrite(lambda: moved(reconstruction(), lambda x: x * np.nan)),
+        ("sparse/0", "30 of 30 points are not finite"),
+    ),
+    "distorted camera": (
+        rewrite(lambda: reconstruction("SIMPLE_RADIAL", (50.0, 24.0, 18.0, 1e9))),
+        ("sparse/0", "cannot be undistorted", "SIMPLE_RADIAL"),
+    ),
 }
 
 
@@ -80,7 +87,7 @@ def refused(*words, naming):
     """Run a command that must end in one line with these words, and exit code 2."""
     result = clsplat_(*words)
     assert result.exit_code == 2, result.output
-    line, = result.output.splitlines()
+    (line,) = result.output.splitlines()
     assert line.startswith("error: ")
     for word in naming:
         assert word in line, line
@@ -129,31 +136,38 @@ def test_output_that_cannot_be_written(tmp_path, healthy, parent):
 
 def test_output_that_is_a_run(healthy, finished):
     before = content(finished)
-    refused("train", healthy, "-o", finished, *TRAIN,
-            naming=(str(finished), "--resume", "--overwrite"))
+    refused("train", healthy, "-o", finished, *TRAIN, naming=(str(finished), "--resume", "--overwrite"))
     assert content(finished) == before
 
 
 def test_overwriting_waits_until_all_is_in_order(healthy, finished):
     before = content(finished)
-    refused("train", healthy, "-o", finished, *TRAIN, "--overwrite", "--max-gaussians", "5",
-            naming=("--max-gaussians 5",))
+    refused(
+        "train", healthy, "-o", finished, *TRAIN, "--overwrite", "--max-gaussians", "5", naming=("--max-gaussians 5",)
+    )
     assert content(finished) == before
 
 
-@pytest.mark.parametrize("words, naming", [
-    (("--init", "nowhere.ply"), ("nowhere.ply", "no such file")),
-    (("--max-gaussians", "5"), ("--max-gaussians 5", "30", "allow")),
-    (("--test-every", "1"), ("--test-every 1", "use a larger number")),
-    (("--test-offset", "4"), ("--test-offset 4", "must be less than --test-every, which is 4")),
-    (("--test-every", "none", "--test-offset", "1"), ("--test-offset 1", "which is none")),
-    (("--test-every", "900", "--test-offset", "800"),
-     ("--test-offset 800", "holds out none of its", "use a smaller number")),
-    (("--device", "warp drive"), ("warp drive", "clsplat devices")),
-    (("--sh-degree", "4"), ("sh-degree", "from 0 to 3")),
-    (("--levels", "4", "--levels", "1"),
-     ("--levels: level 4", "12 x 9 pixels", "tile of 16", "give smaller --levels")),
-])
+@pytest.mark.parametrize(
+    "words, naming",
+    [
+        (("--init", "nowhere.ply"), ("nowhere.ply", "no such file")),
+        (("--max-gaussians", "5"), ("--max-gaussians 5", "30", "allow")),
+        (("--test-every", "1"), ("--test-every 1", "use a larger number")),
+        (("--test-offset", "4"), ("--test-offset 4", "must be less than --test-every, which is 4")),
+        (("--test-every", "none", "--test-offset", "1"), ("--test-offset 1", "which is none")),
+        (
+            ("--test-every", "900", "--test-offset", "800"),
+            ("--test-offset 800", "holds out none of its", "use a smaller number"),
+        ),
+        (("--device", "warp drive"), ("warp drive", "clsplat devices")),
+        (("--sh-degree", "4"), ("sh-degree", "from 0 to 3")),
+        (
+            ("--levels", "4", "--levels", "1"),
+            ("--levels: level 4", "12 x 9 pixels", "tile of 16", "give smaller --levels"),
+        ),
+    ],
+)
 @pytest.mark.one_in(9)
 def test_options_that_cannot_be_met(tmp_path, healthy, finished, words, naming):
     """Neither a new run is begun nor one that is there touched."""
@@ -169,11 +183,15 @@ def test_no_working_device(tmp_path, healthy):
     """The loader is shown an empty folder of drivers."""
     (tmp_path / "vendors").mkdir()
     done = subprocess.run(
-        [sys.executable, "-m", "clsplat", "train", str(healthy), "-o", str(tmp_path / "run"),
-         *TRAIN], env={**os.environ, "OCL_ICD_VENDORS": str(tmp_path / "vendors")},
-        capture_output=True, text=True, timeout=300, check=False)
+        [sys.executable, "-m", "clsplat", "train", str(healthy), "-o", str(tmp_path / "run"), *TRAIN],
+        env={**os.environ, "OCL_ICD_VENDORS": str(tmp_path / "vendors")},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
     assert done.returncode == 2 and done.stdout == ""
-    line, = done.stderr.splitlines()
+    (line,) = done.stderr.splitlines()
     assert line.startswith("error: no working OpenCL device; install")
     assert "pip install intel-opencl-rt" in line and "pocl-opencl-icd" in line
     assert not (tmp_path / "run").exists()
@@ -186,8 +204,7 @@ def test_resuming_what_cannot_be(tmp_path, healthy, finished):
     refused(*resume, naming=(str(run), "holds no run"))
     shutil.copytree(finished, run)
     other = write_scene(tmp_path / "village", moved(reconstruction(), lambda x: 2 * x))
-    refused("train", other, "-o", run, "-q", "--resume",
-            naming=(str(run), "another scene", str(healthy), "--output"))
+    refused("train", other, "-o", run, "-q", "--resume", naming=(str(run), "another scene", str(healthy), "--output"))
     cut(run / "checkpoint.npz", 0.9)
     spoilt = content(run)
     refused(*resume, naming=("checkpoint.npz", "cut short", "--overwrite"))

@@ -10,8 +10,7 @@ from clsplat.device import Device
 from clsplat.rendering.blend import choose_bands
 from tests.data.tiny_training import LEVELLED, model_digest, records, trained
 
-SHORT = {"iterations": 50, "densify_until": 45, "densify_every": 10, "max_gaussians": 7000,
-         "test_every": 0}
+SHORT = {"iterations": 50, "densify_until": 45, "densify_every": 10, "max_gaussians": 7000, "test_every": 0}
 TAMING = {"schedule": "taming", "iterations": 80, "downscale": 4.0, "exposure": "on"}
 MCMC = {"schedule": "mcmc", "iterations": 100, "downscale": 4.0}
 
@@ -62,12 +61,10 @@ def test_many_steps(float_device, city, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("changes", [LEVELLED, TAMING, MCMC],
-                         ids=lambda changes: changes["schedule"])
+@pytest.mark.parametrize("changes", [LEVELLED, TAMING, MCMC], ids=lambda changes: changes["schedule"])
 @pytest.mark.one_in(3)
 def test_the_whole_method(item_device, city, tmp_path, levelled, changes):
     """Levels, exposures, adjacent photos, scores, relocation and random steps."""
-    first = model_digest(levelled) if changes is LEVELLED else digest(
-        tmp_path / "first", city, item_device, **changes)
+    first = model_digest(levelled) if changes is LEVELLED else digest(tmp_path / "first", city, item_device, **changes)
     other = cut_otherwise(item_device, group_size=32, scan_group=64, compute_units=5, item_runs=3)
     assert digest(tmp_path / "other", city, other, **changes) == first

@@ -22,14 +22,17 @@ def whole(item_device, city, tmp_path_factory):
 def broken(error):
     def call(*_, **__):
         raise error
+
     return call
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("moment, what", [("write_report", "the report"),
-                                          ("pictures_of", "the pictures of its report")])
+@pytest.mark.parametrize(
+    "moment, what", [("write_report", "the report"), ("pictures_of", "the pictures of its report")]
+)
 def test_a_report_that_cannot_be_drawn_costs_nothing_else(
-        whole, item_device, city, tmp_path, monkeypatch, caplog, moment, what):
+    whole, item_device, city, tmp_path, monkeypatch, caplog, moment, what
+):
     """Faults C5a and C5b of the hostile trial: an encoding, a font, a user's matplotlibrc."""
     monkeypatch.setattr(loop, moment, broken(UnicodeEncodeError("utf-8", "x", 0, 1, "")))
     run = trained(tmp_path / "run", city, item_device, **OPTIONS)
@@ -43,12 +46,18 @@ def test_a_report_that_cannot_be_drawn_costs_nothing_else(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("moment, error", [
-    ("evaluate_views", KeyboardInterrupt()), ("evaluate_views", InputError("a photo is gone")),
-    ("write_report", KeyboardInterrupt()), ("save_model", KeyboardInterrupt())], ids=repr)
+@pytest.mark.parametrize(
+    "moment, error",
+    [
+        ("evaluate_views", KeyboardInterrupt()),
+        ("evaluate_views", InputError("a photo is gone")),
+        ("write_report", KeyboardInterrupt()),
+        ("save_model", KeyboardInterrupt()),
+    ],
+    ids=repr,
+)
 @pytest.mark.one_in(3)
-def test_the_last_moments_lose_nothing(whole, item_device, city, tmp_path, monkeypatch, moment,
-                                       error):
+def test_the_last_moments_lose_nothing(whole, item_device, city, tmp_path, monkeypatch, moment, error):
     """Fault C6: Ctrl-C in the final evaluation came before the final checkpoint."""
     where = {"evaluate_views": recorder, "write_report": loop, "save_model": RunFolder}[moment]
     monkeypatch.setattr(where, moment, broken(error))
@@ -63,8 +72,7 @@ def test_the_last_moments_lose_nothing(whole, item_device, city, tmp_path, monke
     assert len(records(run, "eval")) == 1
 
 
-def test_ctrl_c_before_the_first_step_says_how_to_go_on(
-        whole, item_device, city, tmp_path, monkeypatch):
+def test_ctrl_c_before_the_first_step_says_how_to_go_on(whole, item_device, city, tmp_path, monkeypatch):
     monkeypatch.setattr(loop.Training, "begin", broken(KeyboardInterrupt()))
     with pytest.raises(Interrupted, match="^stopped after step 0; go on with: clsplat train --res"):
         trained(tmp_path / "run", city, item_device, **OPTIONS)

@@ -39,20 +39,26 @@ def test_kernels_give_them(device):
     rows, cameras, photos = golden.scene()
     renderer = Renderer(device, golden.DEGREE, golden.NEAR, background=golden.BACKGROUND)
     model = Model(device, Gaussians(rows, golden.DEGREE))
-    options = TrainOptions(iterations=golden.STEPS, sh_every=golden.SH_EVERY,
-                           sh_degree=golden.DEGREE, ssim_weight=golden.SSIM_WEIGHT,
-                           opacity_rate=golden.RATES["opacity_logits"], average=0.0)
+    options = TrainOptions(
+        iterations=golden.STEPS,
+        sh_every=golden.SH_EVERY,
+        sh_degree=golden.DEGREE,
+        ssim_weight=golden.SSIM_WEIGHT,
+        opacity_rate=golden.RATES["opacity_logits"],
+        average=0.0,
+    )
     step = Step(renderer, model, golden.EXTENT, 0.0, options, [ImageTerm(golden.SSIM_WEIGHT)])
     schedule = Constant(options, None)
-    packed = [renderer.pack(Camera(
-        c["width"], c["height"], (c["fx"], c["fy"]), (c["cx"], c["cy"]), c["rotation"],
-        c["translation"])) for c in cameras]
+    packed = [
+        renderer.pack(
+            Camera(c["width"], c["height"], (c["fx"], c["fy"]), (c["cx"], c["cy"]), c["rotation"], c["translation"])
+        )
+        for c in cameras
+    ]
     planes = [device.upload(photo) for photo in photos]
     losses = []
     for iteration in range(1, golden.STEPS + 1):
         view = iteration % 3
-        measured = step.run(iteration, schedule.plan(iteration),
-                            [TrainingSample(view, packed[view], planes[view])])
+        measured = step.run(iteration, schedule.plan(iteration), [TrainingSample(view, packed[view], planes[view])])
         losses.append(step.values(measured)["loss"])
-    assert np.allclose(losses, stored(), rtol=RELATIVE[precision_of(device)], atol=0), (
-        f"{losses}\nexpected {stored()}")
+    assert np.allclose(losses, stored(), rtol=RELATIVE[precision_of(device)], atol=0), f"{losses}\nexpected {stored()}"

@@ -13,15 +13,13 @@ from tests.data.tiny_training import STILL, trained
 
 @pytest.fixture(scope="module")
 def run(item_device, city, tmp_path_factory):
-    return trained(tmp_path_factory.mktemp("pictures") / "run", city, item_device, **STILL,
-                   iterations=20)
+    return trained(tmp_path_factory.mktemp("pictures") / "run", city, item_device, **STILL, iterations=20)
 
 
 def shown(run):
     """(heading, [names of the views]) of the pictures with which a run's page begins."""
     html = (run.path / "report.html").read_text()
-    return (re.search("<h2>(.*?)</h2>", html)[1],
-            re.findall("<h3>(?:Worst|Median|Best): (.*?)</h3>", html))
+    return (re.search("<h2>(.*?)</h2>", html)[1], re.findall("<h3>(?:Worst|Median|Best): (.*?)</h3>", html))
 
 
 def test_the_report_of_a_training_begins_with_held_out_views(run, city):

@@ -20,8 +20,7 @@ def test_the_run_and_its_model_know_where_they_lie(item_device, city, tmp_path):
     scene = replace(city, georeference=here).with_up([0.0, 0.0, 2.0])
     options = resolve({}, {**STILL, "iterations": 20})
     with pytest.raises(Interrupted):
-        trainings.train(scene, replace(options, stop_at=10), item_device,
-                   RunFolder.create(tmp_path / "stopped"))
+        trainings.train(scene, replace(options, stop_at=10), item_device, RunFolder.create(tmp_path / "stopped"))
     trainings.resumed(city, options, item_device, RunFolder.open(tmp_path / "stopped")).take()
     trainings.train(scene, options, item_device, RunFolder.create(tmp_path / "whole"))
     stopped, whole = (Run.open(tmp_path / name) for name in ("stopped", "whole"))

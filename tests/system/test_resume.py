@@ -25,8 +25,11 @@ TIMES = ("train_seconds", "wall_seconds", "memory_bytes", "peak_bytes")
 
 def history(run):
     """The metrics without what the clock and the pool of memory decide."""
-    return [{key: value for key, value in record.items() if key not in TIMES}
-            for record in run.records() if record["event"] != "time"]
+    return [
+        {key: value for key, value in record.items() if key not in TIMES}
+        for record in run.records()
+        if record["event"] != "time"
+    ]
 
 
 @pytest.mark.slow
@@ -62,15 +65,20 @@ def test_crashed_and_resumed(item_device, city, tmp_path, eventful, monkeypatch)
         trained(tmp_path / "run", city, item_device, eval_every=50, checkpoint_every=60)
     run = RunFolder.open(tmp_path / "run")
     assert [(record["event"], record["iteration"]) for record in run.records()][-4:] == [
-        ("eval", 100), ("step", 100), ("grow", 101), ("reset", 101)]
+        ("eval", 100),
+        ("step", 100),
+        ("grow", 101),
+        ("reset", 101),
+    ]
     resume(city, options_of(eval_every=50, checkpoint_every=60), item_device, run)
     assert model_digest(run) == model_digest(eventful)
     assert history(run) == history(eventful)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [{"poses": "on"}, {"engine": "numpy"},
-                                     {"antialiased": True, "init": "random"}], ids=str)
+@pytest.mark.parametrize(
+    "options", [{"poses": "on"}, {"engine": "numpy"}, {"antialiased": True, "init": "random"}], ids=str
+)
 @pytest.mark.one_in(3)
 def test_other_ways_to_train_resume_as_well(item_device, city, tmp_path, options):
     whole = trained(tmp_path / "whole", city, item_device, **options, iterations=90)
@@ -80,9 +88,11 @@ def test_other_ways_to_train_resume_as_well(item_device, city, tmp_path, options
     if "poses" in options:
         corrected, expected = read_poses(run.path), read_poses(whole.path)
         assert len(corrected) == 28 and all(  # and they have moved since the warm-up
-            0 < np.abs(each.turn).max() and np.array_equal(each.turn, expected[name].turn)
+            0 < np.abs(each.turn).max()
+            and np.array_equal(each.turn, expected[name].turn)
             and np.array_equal(each.shift, expected[name].shift)
-            for name, each in corrected.items())
+            for name, each in corrected.items()
+        )
 
 
 @pytest.mark.slow
@@ -99,8 +109,7 @@ def test_levels_stopped_and_resumed(item_device, city, tmp_path, levelled):
 
 
 @pytest.mark.slow
-def test_a_run_keeps_the_levels_that_an_earlier_version_chose(item_device, city, tmp_path,
-                                                              monkeypatch, levelled):
+def test_a_run_keeps_the_levels_that_an_earlier_version_chose(item_device, city, tmp_path, monkeypatch, levelled):
     stop, chosen = records(levelled, "level")[0]["iteration"] + 1, {**LEVELLED, "levels": ()}
     with monkeypatch.context() as earlier:
         earlier.setattr(sig, "levels_of", lambda *_: LEVELLED["levels"])
@@ -112,9 +121,12 @@ def test_a_run_keeps_the_levels_that_an_earlier_version_chose(item_device, city,
 EVENTFUL = {"iterations": 60, "densify_until": 50, "densify_from": 5, "densify_every": 7}
 # 28 training views are no multiple of 3: epochs end within a step, exposures are recentred there,
 # and what is drawn goes by the view, not by the step
-SCHEDULES = {"mcmc": {**EVENTFUL, "mcmc_growth": 0.2, "max_gaussians": 9000},
-             "dash": {**EVENTFUL, "downscale": 4.0}, "taming": {**EVENTFUL, "taming_budget": 1.5},
-             "sig": {**LEVELLED, "batch": 3, "iterations": 40, "vignetting": "on"}}
+SCHEDULES = {
+    "mcmc": {**EVENTFUL, "mcmc_growth": 0.2, "max_gaussians": 9000},
+    "dash": {**EVENTFUL, "downscale": 4.0},
+    "taming": {**EVENTFUL, "taming_budget": 1.5},
+    "sig": {**LEVELLED, "batch": 3, "iterations": 40, "vignetting": "on"},
+}
 
 
 @pytest.mark.slow
@@ -154,9 +166,9 @@ def test_a_broken_training_keeps_its_checkpoint(item_device, city, tmp_path, mon
 
 
 @pytest.mark.slow
-def test_a_model_that_cannot_be_written_is_written_later(item_device, city, tmp_path, monkeypatch,
-                                                         eventful):
+def test_a_model_that_cannot_be_written_is_written_later(item_device, city, tmp_path, monkeypatch, eventful):
     """A thread writes it during the last evaluation; its error ends the run."""
+
     def full(*_):
         raise InputError("the disk is full")
 
@@ -189,7 +201,11 @@ def started(run, is_there, *words):
     """A command in a process of its own that trains, once something of its run is there."""
     process = subprocess.Popen(
         [sys.executable, "-m", "clsplat", *map(str, words), "-q"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=listen)
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=listen,
+    )
     deadline = time.monotonic() + 300
     while not is_there(run):
         assert process.poll() is None, process.communicate()
@@ -202,8 +218,15 @@ def started(run, is_there, *words):
 @pytest.mark.slow
 def test_interrupted_resumed_as_it_says_killed_and_resumed(tmp_path, undisturbed):
     run, whole = RunFolder(tmp_path / "run"), undisturbed
-    process = started(run, lambda run: (run.path / "metrics.jsonl").exists(), "train",
-                      tiny_training.CITY, "-o", run.path, *tiny_training.flags(**SLOW))
+    process = started(
+        run,
+        lambda run: (run.path / "metrics.jsonl").exists(),
+        "train",
+        tiny_training.CITY,
+        "-o",
+        run.path,
+        *tiny_training.flags(**SLOW),
+    )
     time.sleep(0.2)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=300)

@@ -31,15 +31,28 @@ def test_a_time_budget_is_kept_across_a_stop(item_device, city, tmp_path, option
 
 @pytest.mark.slow
 @pytest.mark.alone
-@pytest.mark.parametrize("options", [
-    {"schedule": "constant", "reset_every": 60}, {"schedule": "sig", "levels": (2.0, 1.0)}],
-    ids=["constant", "sig"])
+@pytest.mark.parametrize(
+    "options",
+    [{"schedule": "constant", "reset_every": 60}, {"schedule": "sig", "levels": (2.0, 1.0)}],
+    ids=["constant", "sig"],
+)
 def test_a_budget_leaves_the_best_model(item_device, city, tmp_path, monkeypatch, options):
     """The last score is not below the one before but for noise; tests/training/test_budget.py cuts
     the time in many ways."""
     monkeypatch.setattr(budget, "REPORT_SECONDS", 0.2)
-    run = trained(tmp_path / "run", city, item_device, **{
-        "time_budget": "9s", "iterations": 30000, "downscale": 2.0, "densify_until": 0,
-        "eval_every": "auto", "reset_every": 0, **options})
+    run = trained(
+        tmp_path / "run",
+        city,
+        item_device,
+        **{
+            "time_budget": "9s",
+            "iterations": 30000,
+            "downscale": 2.0,
+            "densify_until": 0,
+            "eval_every": "auto",
+            "reset_every": 0,
+            **options,
+        },
+    )
     scores = [record["psnr"] for record in records(run, "eval")]
     assert len(scores) >= 2 and scores[-1] > max(scores[:-1]) - 1

@@ -16,8 +16,7 @@ from clsplat.training.progress import SilentProgress
 from clsplat.training.step import Step
 from tests.data.tiny_training import CITY, STILL, options_of, records, trained
 
-COMMON = ["event", "iteration", "train_seconds", "wall_seconds", "level", "gaussians",
-          "pixel_pairs"]
+COMMON = ["event", "iteration", "train_seconds", "wall_seconds", "level", "gaussians", "pixel_pairs"]
 
 
 def test_it_learns(item_device, city, tmp_path):
@@ -64,16 +63,13 @@ def evaluated(run):
     return [record["iteration"] for record in records(run, "eval")]
 
 
-@pytest.mark.parametrize("options, expected", [
-    ({}, [30]),
-    ({"eval_every": 10}, [10, 20, 30]),
-    ({"test_every": 0, "eval_every": 10}, []),
-    ({"stop_at": 12}, []),
-])
+@pytest.mark.parametrize(
+    "options, expected",
+    [({}, [30]), ({"eval_every": 10}, [10, 20, 30]), ({"test_every": 0, "eval_every": 10}, []), ({"stop_at": 12}, [])],
+)
 @pytest.mark.slow
 def test_evaluations(item_device, city, tmp_path, options, expected):
-    assert evaluated(trained(tmp_path / "run", city, item_device, **STILL, iterations=30,
-                             **options)) == expected
+    assert evaluated(trained(tmp_path / "run", city, item_device, **STILL, iterations=30, **options)) == expected
 
 
 @pytest.mark.slow
@@ -104,23 +100,33 @@ def test_a_batch_takes_the_next_views_of_the_epochs(item_device, city, tmp_path,
 def test_records_carry_what_reports_read(eventful):
     run = eventful
     every = run.records()
-    assert {record["event"] for record in every} == {"plan", "step", "grow", "reset", "eval",
-                                                     "time"}
+    assert {record["event"] for record in every} == {"plan", "step", "grow", "reset", "eval", "time"}
     for record in every:
-        assert list(record)[:len(COMMON)] == COMMON
+        assert list(record)[: len(COMMON)] == COMMON
         assert record["level"] == 1.0
     assert 0 <= every[0]["train_seconds"] < every[0]["wall_seconds"] / 2, "preparing is no training"
     for earlier, later in pairwise(every):
         for key in ("iteration", "train_seconds", "wall_seconds", "pixel_pairs"):
             assert earlier[key] <= later[key]
         assert later["train_seconds"] <= later["wall_seconds"]
-    own = {event: set(records(run, event)[-1]) - set(COMMON)
-           for event in ("plan", "step", "grow", "reset", "eval")}
-    assert own == {"plan": {"reasons", "levels", "format"},
-                   "step": {"loss", "l1", "ssim", "memory_bytes", "peak_bytes", "skipped_rows",
-                            "skipped_since", "frequency", "convergence"},
-                   "grow": {"cloned", "split", "pruned"}, "reset": set(),
-                   "eval": {"psnr", "ssim", "psnr_cc", "ssim_cc", "views"}}
+    own = {event: set(records(run, event)[-1]) - set(COMMON) for event in ("plan", "step", "grow", "reset", "eval")}
+    assert own == {
+        "plan": {"reasons", "levels", "format"},
+        "step": {
+            "loss",
+            "l1",
+            "ssim",
+            "memory_bytes",
+            "peak_bytes",
+            "skipped_rows",
+            "skipped_since",
+            "frequency",
+            "convergence",
+        },
+        "grow": {"cloned", "split", "pruned"},
+        "reset": set(),
+        "eval": {"psnr", "ssim", "psnr_cc", "ssim_cc", "views"},
+    }
     assert [record["iteration"] for record in records(run, "step")] == [1, 100]
     step = records(run, "step")[-1]
     assert step["skipped_rows"] == 0 and step["memory_bytes"] > 1e6
@@ -129,20 +135,19 @@ def test_records_carry_what_reports_read(eventful):
 
 @pytest.mark.slow
 def test_levels_and_frequencies_are_recorded(levelled):
-    plan, = records(levelled, "plan")
+    (plan,) = records(levelled, "plan")
     assert levelled.records()[0] == plan and plan["iteration"] == 0
     assert plan["levels"] == [2.0, 1.0] and set(plan["reasons"]) == set(
-        "steps init levels gaussians sh_degree exposure vignetting robust "
-        "reproject engine".split())
-    level, = records(levelled, "level")
-    assert set(level) - set(COMMON) == {"reason", "since", "rounds", "frequency", "slope",
-                                        "threshold", "hits"}
+        "steps init levels gaussians sh_degree exposure vignetting robust reproject engine".split()
+    )
+    (level,) = records(levelled, "level")
+    assert set(level) - set(COMMON) == {"reason", "since", "rounds", "frequency", "slope", "threshold", "hits"}
     assert level["level"] == 1.0 and level["since"] == level["iteration"]
     every = levelled.records()
     place = every.index(level)  # after all records of the step before it, which had the old level
     assert {record["level"] for record in every[:place]} == {2.0}
     assert {record["level"] for record in every[place:]} == {1.0}
-    assert all(record["iteration"] > level["iteration"] for record in every[place + 1:])
+    assert all(record["iteration"] > level["iteration"] for record in every[place + 1 :])
     first, later = records(levelled, "step")
     assert (first["iteration"], later["iteration"]) == (1, 100) and first["frequency"] is None
     assert set(later["frequency"]) == {f"{variant}_{axis}" for variant in VARIANTS for axis in AXES}
@@ -174,14 +179,21 @@ def test_progress_is_told(item_device, city, tmp_path):
             super().phase(text)
             self.phases.append(text)
 
-    trainings.train(city, options_of(iterations=60, **STILL), item_device,
-               RunFolder.create(tmp_path / "run"), Progress())
+    trainings.train(
+        city, options_of(iterations=60, **STILL), item_device, RunFolder.create(tmp_path / "run"), Progress()
+    )
     assert [values["iteration"] for values in Progress.told] == [1, 50]
     assert list(dict.fromkeys(Progress.phases)) == [
-        "planning", "reading photos", "reading photos at full size", "compiling kernels",
-        "training at full size", "writing the model", "evaluating", "writing the report"]
-    assert set(Progress.told[0]) == {"iteration", "total", "loss", "gaussians", "memory_bytes",
-                                     "level"}
+        "planning",
+        "reading photos",
+        "reading photos at full size",
+        "compiling kernels",
+        "training at full size",
+        "writing the model",
+        "evaluating",
+        "writing the report",
+    ]
+    assert set(Progress.told[0]) == {"iteration", "total", "loss", "gaussians", "memory_bytes", "level"}
     assert {values["total"] for values in Progress.told} == {60}
     lines = Progress.messages[0].splitlines()
     assert len(Progress.messages) == 1 and lines[0] == "scores of 4 held-out photos"
@@ -193,9 +205,10 @@ def test_progress_is_told(item_device, city, tmp_path):
 def test_growth_helps(item_device, city, tmp_path):
     """To fit the photos, where points are few: every fortieth of the city's."""
     thin = replace(city, points=city.points[::40], colours=city.colours[::40], observations=None)
-    runs = [trained(tmp_path / name, thin, item_device, iterations=400, reset_every=0, **changes)
-            for name, changes in (("still", {"densify_from": 1000}),
-                                  ("grown", {"densify_from": 50, "densify_until": 200}))]
+    runs = [
+        trained(tmp_path / name, thin, item_device, iterations=400, reset_every=0, **changes)
+        for name, changes in (("still", {"densify_from": 1000}), ("grown", {"densify_from": 50, "densify_until": 200}))
+    ]
     still, grown = (records(run, "step")[-1]["loss"] for run in runs)
     assert grown < 0.85 * still, (still, grown)
 

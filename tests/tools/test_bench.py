@@ -11,12 +11,12 @@ from tools.bench.__main__ import main as tool
 from tools.bench.families import FAMILIES
 from tools.bench.report import counts
 
-KEYS = {"family", "variant", "form", "device", "driver", "size", "median_ms", "quartiles_ms",
-        "repeats"}
+KEYS = {"family", "variant", "form", "device", "driver", "size", "median_ms", "quartiles_ms", "repeats"}
 
 
-@pytest.mark.parametrize("text, expected", [
-    ("200k,1M,4M", (200_000, 1_000_000, 4_000_000)), ("2.5k", (2500,)), ("0,17", (0, 17))])
+@pytest.mark.parametrize(
+    "text, expected", [("200k,1M,4M", (200_000, 1_000_000, 4_000_000)), ("2.5k", (2500,)), ("0,17", (0, 17))]
+)
 def test_counts(text, expected):
     assert counts(text) == expected
     with pytest.raises(ValueError, match="not a list"):
@@ -29,8 +29,9 @@ def test_counts(text, expected):
 def test_each_family_prints_its_lines(family, capsys):
     tool([family, "--json", "--repeats", "2", "--device", "cpu", "--gaussians", "2k"])
     records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert records and all(record.keys() == KEYS and record["median_ms"] > 0
-                           and record["family"] == family for record in records)
+    assert records and all(
+        record.keys() == KEYS and record["median_ms"] > 0 and record["family"] == family for record in records
+    )
 
 
 @pytest.mark.slow

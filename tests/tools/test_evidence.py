@@ -12,8 +12,7 @@ from clsplat.report.page import Table
 from tools import evidence
 from tools.studies import study
 
-OPTIONS = {option.name: option for kind in (TrainOptions, PartitionOptions)
-           for option in options_of(kind)}
+OPTIONS = {option.name: option for kind in (TrainOptions, PartitionOptions) for option in options_of(kind)}
 DEFAULTS = evidence.records(evidence.RESULTS / "defaults.jsonl")
 
 
@@ -40,17 +39,25 @@ def test_the_evidence_is_of_today_s_default(line):
 
 
 def test_every_table_says_when_and_how_it_was_measured():
-    tables = [line for path in evidence.files() for line in evidence.records(path)
-              if "table" in line]
+    tables = [line for path in evidence.files() for line in evidence.records(path) if "table" in line]
     assert len(tables) > 30
     for table in tables:
         assert re.match(r"20\d\d-\d\d-\d\d", table["date"]), table
         assert table["commit"] and table["command"] and table["source"], table
 
 
-@pytest.mark.parametrize("value, text", [
-    (12345, "12,345"), ([36.4, 35.53], "36.40 / 35.53"), (True, "on"), ([], "auto"), (None, ""),
-    (3.9e-7, "3.9e-07"), ("a|b", "a/b")])
+@pytest.mark.parametrize(
+    "value, text",
+    [
+        (12345, "12,345"),
+        ([36.4, 35.53], "36.40 / 35.53"),
+        (True, "on"),
+        ([], "auto"),
+        (None, ""),
+        (3.9e-7, "3.9e-07"),
+        ("a|b", "a/b"),
+    ],
+)
 def test_a_cell(value, text):
     assert evidence.text_of(value, 2) == text
 
@@ -68,4 +75,5 @@ def test_a_study_replaces_its_table_and_leaves_the_others(tmp_path, monkeypatch)
 
 def test_a_column_has_one_number_of_digits():
     assert evidence.table([{"x": "a", "y": 0.5}, {"x": "b", "y": 1.25}]) == (
-        "| x | y |\n| --- | ---: |\n| a | 0.50 |\n| b | 1.25 |")
+        "| x | y |\n| --- | ---: |\n| a | 0.50 |\n| b | 1.25 |"
+    )

@@ -70,14 +70,15 @@ kernels_misc_info:
 
 
 def test_what_clang_says_for_amd():
-    assert parse_amd(AMD, 64, {"blend_adjoint": 128}) == [
-        Usage("blend_adjoint", 96, 40, 3, 14, 8, 10752, 2)]
+    assert parse_amd(AMD, 64, {"blend_adjoint": 128}) == [Usage("blend_adjoint", 96, 40, 3, 14, 8, 10752, 2)]
 
 
 def test_small_groups_that_share_local_memory_are_fewer_waves_than_clang_says():
     said = AMD.replace("[waves/SIMD]: 2", "[waves/SIMD]: 8")
-    waves = [parse_amd(said, wave, {"blend_adjoint": group})[0].waves
-             for wave, group in ((64, 64), (64, 65), (64, 256), (32, 32))]
+    waves = [
+        parse_amd(said, wave, {"blend_adjoint": group})[0].waves
+        for wave, group in ((64, 64), (64, 65), (64, 256), (32, 32))
+    ]
     assert waves == [2, 3, 6, 3]
     assert parse_amd(said.replace("10752", "0"), 64, {})[0].waves == 8
 
@@ -85,54 +86,64 @@ def test_small_groups_that_share_local_memory_are_fewer_waves_than_clang_says():
 def test_a_function_that_the_program_lacks():
     """Registers are then a formula."""
     with pytest.raises(InputError, match="pose_step calls a function .* static, or"):
-        parse_amd("remark: Function Name: pose_step [-R]\nremark:     TotalSGPRs: max(1, f) [-R]",
-                  64, {})
+        parse_amd("remark: Function Name: pose_step [-R]\nremark:     TotalSGPRs: max(1, f) [-R]", 64, {})
 
 
 def test_what_ptxas_says():
     usages = parse_nvidia(NVIDIA, "sm_70", {"blend_adjoint": 32, "rows": 128})
-    assert usages == [Usage("blend_adjoint", 140, 0, 12, 0, 16, 7716, 12),
-                      Usage("rows", 20, waves=64)]
+    assert usages == [Usage("blend_adjoint", 140, 0, 12, 0, 16, 7716, 12), Usage("rows", 20, waves=64)]
 
 
-@pytest.mark.parametrize("target, registers, local, group, waves", [
-    ("sm_70", 32, 0, 256, 64), ("sm_70", 64, 0, 256, 32), ("sm_70", 20, 0, 32, 32),
-    ("sm_70", 32, 33 << 10, 256, 16), ("sm_80", 32, 41 << 10, 256, 24), ("sm_90", 33, 0, 32, 32)])
+@pytest.mark.parametrize(
+    "target, registers, local, group, waves",
+    [
+        ("sm_70", 32, 0, 256, 64),
+        ("sm_70", 64, 0, 256, 32),
+        ("sm_70", 20, 0, 32, 32),
+        ("sm_70", 32, 33 << 10, 256, 16),
+        ("sm_80", 32, 41 << 10, 256, 24),
+        ("sm_90", 33, 0, 32, 32),
+    ],
+)
 def test_waves_of_nvidia(target, registers, local, group, waves):
     """Bound by warps, registers, groups or local memory."""
     assert nvidia_waves(target, registers, local, group) == waves
 
 
 def test_what_ocloc_says():
-    assert parse_intel(INTEL) == [Usage("blend", 128, local=12832, waves=32),
-                                  Usage("sweep", 256, 0, 128, 0, 128 + 204, 0, 16)]
+    assert parse_intel(INTEL) == [
+        Usage("blend", 128, local=12832, waves=32),
+        Usage("sweep", 256, 0, 128, 0, 128 + 204, 0, 16),
+    ]
 
 
 def test_sizes_are_those_of_the_target_s_wave():
-    assert [sizes_of(TARGETS[name])["WAVE"] for name in ("gfx90a", "gfx1100", "sm_80")] == [
-        64, 32, 32]
+    assert [sizes_of(TARGETS[name])["WAVE"] for name in ("gfx90a", "gfx1100", "sm_80")] == [64, 32, 32]
 
 
 def test_a_missing_compiler_is_named_with_its_package(monkeypatch):
     monkeypatch.setattr("tools.offline.compilers.found", lambda need: None)
-    assert "ocloc: install intel-ocloc of Debian testing, as .ci/nightly does" in missing(
-        [TARGETS["tgllp"]])
+    assert "ocloc: install intel-ocloc of Debian testing, as .ci/nightly does" in missing([TARGETS["tgllp"]])
     with pytest.raises(InputError, match="ptxas: install PyPI's nvidia-cuda-nvcc-cu12"):
         offline.main(["sm_70", "--check"])
     with pytest.raises(InputError, match="sm_7: not a target; use gfx90a, "):
         offline.main(["sm_7"])
 
 
-FOUND = {("blend", "gfx90a"): Usage("blend", 48, waves=5, local=64),
-         ("blend", "sm_80"): Usage("blend", 56, vector_spills=4, waves=36),
-         ("scan", "gfx90a"): Usage("scan", 9, waves=8)}
+FOUND = {
+    ("blend", "gfx90a"): Usage("blend", 48, waves=5, local=64),
+    ("blend", "sm_80"): Usage("blend", 56, vector_spills=4, waves=36),
+    ("scan", "gfx90a"): Usage("scan", 9, waves=8),
+}
 
 
 def stored():
     """The limits by FOUND, after they were written and read."""
-    return offline.stored_limits(json.loads(json.dumps(line)) for table in offline.tables(FOUND)
-                                for line in ({"table": table.title},
-                                             *(dict(zip(table.head, row)) for row in table.rows)))
+    return offline.stored_limits(
+        json.loads(json.dumps(line))
+        for table in offline.tables(FOUND)
+        for line in ({"table": table.title}, *(dict(zip(table.head, row)) for row in table.rows))
+    )
 
 
 def test_the_table_has_what_was_found():
@@ -145,7 +156,8 @@ def test_the_table_has_what_was_found():
 
 def test_the_worst_of_several_builds():
     assert offline.worst([Usage("k", 9, local=8, waves=8), Usage("k", 7, scratch=4, waves=5)]) == (
-        Usage("k", 9, scratch=4, local=8, waves=5))
+        Usage("k", 9, scratch=4, local=8, waves=5)
+    )
 
 
 def test_a_spill_lost_waves_and_a_new_kernel_are_complaints():
@@ -154,7 +166,8 @@ def test_a_spill_lost_waves_and_a_new_kernel_are_complaints():
     assert list(offline.complaints(FOUND, before)) == [
         "gfx90a blend: waves: 6 before, 5 now",
         "sm_80 blend: vector spills: 0 before, 4 now",
-        "gfx90a scan: has no line in the evidence; run with --keep"]
+        "gfx90a scan: has no line in the evidence; run with --keep",
+    ]
 
 
 def test_what_the_table_allows_is_no_complaint():

@@ -15,9 +15,16 @@ def above(x, y=0.0, height=HEIGHT):
     return Camera(*SIZE, (FOCAL, FOCAL), np.divide(SIZE, 2), rotation, -rotation @ [x, y, height])
 
 
-@pytest.mark.parametrize("others, first", [
-    ([above(5), above(5)], 20), ([above(0), above(0, 0.5), above(20)], 0),
-    ([above(5)], None), ([above(5), above(-5)], None), ([above(5), above(2.5), above(7.5)], 20)])
+@pytest.mark.parametrize(
+    "others, first",
+    [
+        ([above(5), above(5)], 20),
+        ([above(0), above(0, 0.5), above(20)], 0),
+        ([above(5)], None),
+        ([above(5), above(-5)], None),
+        ([above(5), above(2.5), above(7.5)], 20),
+    ],
+)
 def test_a_place_counts_from_two_views_on(others, first):
     """On the plane four pixels are a unit, as wide as a cell; those to the right are seen."""
     x, y = np.meshgrid(np.linspace(-20, 20, 81), np.linspace(-20, 20, 81))

@@ -18,9 +18,17 @@ def submitted(tmp_path, task, clsplat, *words):
         path.write_text(f"#!/bin/bash\n{body}\n")
         path.chmod(0o755)
     return subprocess.run(
-        ["bash", str(SCRIPT), str(tmp_path / "city"), *words], capture_output=True, text=True,
-        check=False, env={**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}",
-                          "SLURM_ARRAY_JOB_ID": "77", "SLURM_ARRAY_TASK_ID": str(task)})
+        ["bash", str(SCRIPT), str(tmp_path / "city"), *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={
+            **os.environ,
+            "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}",
+            "SLURM_ARRAY_JOB_ID": "77",
+            "SLURM_ARRAY_TASK_ID": str(task),
+        },
+    )
 
 
 @pytest.fixture

@@ -32,8 +32,14 @@ def observed():
 @pytest.fixture
 def solids():
     """A box 4 x 2 x 5 and a unit sphere."""
-    return City(0, (1, 1), np.zeros((1, 1), bool), np.array([[[0, 0, 0], [4, 2, 5.0]]]),
-                np.array([0]), np.array([[-5, 0, 3, 1.0]]))
+    return City(
+        0,
+        (1, 1),
+        np.zeros((1, 1), bool),
+        np.array([[[0, 0, 0], [4, 2, 5.0]]]),
+        np.array([0]),
+        np.array([[-5, 0, 3, 1.0]]),
+    )
 
 
 def distance(city, points):
@@ -45,9 +51,12 @@ def distance(city, points):
     x, y, z = np.asarray(points, np.float64).T
     signed = z.copy()
     for low, high in city.boxes:
-        gaps = (np.maximum(low[0] - x, x - high[0]), np.maximum(low[1] - y, y - high[1]),
-                z - high[2])  # the underside of a box is not a surface
-        outside = np.sqrt(sum(np.maximum(gap, 0)**2 for gap in gaps))
+        gaps = (
+            np.maximum(low[0] - x, x - high[0]),
+            np.maximum(low[1] - y, y - high[1]),
+            z - high[2],
+        )  # the underside of a box is not a surface
+        outside = np.sqrt(sum(np.maximum(gap, 0) ** 2 for gap in gaps))
         signed = np.minimum(signed, outside + np.minimum(np.maximum.reduce(gaps), 0))
     for *centre, radius in city.spheres:
         signed = np.minimum(signed, np.linalg.norm(points - np.array(centre), axis=1) - radius)
@@ -55,16 +64,14 @@ def distance(city, points):
 
 
 def contents(folder):
-    return {path.relative_to(folder): path.read_bytes()
-            for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {path.relative_to(folder): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 def test_samples_lie_on_surfaces_in_proportion_to_area(solids):
     points = sample(solids, 20000, 0.0, np.random.default_rng(0))
     on_box = (points[:, 2] > 0) & (points[:, 0] > -3)
     on_sphere = points[:, 0] < -3
-    assert np.linalg.norm(points[on_sphere & (points[:, 2] > 0)] - (-5, 0, 3),
-                          axis=1) == pytest.approx(1)
+    assert np.linalg.norm(points[on_sphere & (points[:, 2] > 0)] - (-5, 0, 3), axis=1) == pytest.approx(1)
     assert distance(solids, points[on_box]).max() < 1e-12
     ground, box, sphere = 4 * solids.extent.prod(), 2 * (4 + 2) * 5 + 4 * 2, 4 * np.pi
     total = ground + box + sphere
@@ -73,21 +80,24 @@ def test_samples_lie_on_surfaces_in_proportion_to_area(solids):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("position, forward", [
-    ((3, -16, 21), (0.1, 0.7, -1)),  # from above
-    ((2, -11, 2), (-1, -0.2, -0.1)),  # down a street: solids behind, beside and across its plane
-    ((9.5, 2, 1.5), (0.1, 1, 0.1))])
+@pytest.mark.parametrize(
+    "position, forward",
+    [
+        ((3, -16, 21), (0.1, 0.7, -1)),  # from above
+        ((2, -11, 2), (-1, -0.2, -0.1)),  # down a street: solids behind, beside and across its plane
+        ((9.5, 2, 1.5), (0.1, 1, 0.1)),
+    ],
+)
 def test_culling_does_not_lose_hits(position, forward):
     city = lay_out((2, 2), 1)
-    camera = looking(np.array(position, float), np.array(forward, float), np.array([0, 0, 1.0]),
-                     40, 30)
+    camera = looking(np.array(position, float), np.array(forward, float), np.array([0, 0, 1.0]), 40, 30)
     pixels = np.random.default_rng(0).uniform(0, (40, 30), (2000, 2))
     points, primitive = raycast.cast(city, camera, pixels)
-    directions = np.column_stack([(pixels - camera.centre) / camera.focal,
-                                  np.ones(2000)]) @ camera.rotation
+    directions = np.column_stack([(pixels - camera.centre) / camera.focal, np.ones(2000)]) @ camera.rotation
     everywhere = np.tile([[-np.inf, -np.inf], [np.inf, np.inf]], (len(city.bounds), 1, 1))
-    met, solid = raycast._nearest(city, np.broadcast_to(camera.position, directions.shape),
-                                  directions, pixels, everywhere)
+    met, solid = raycast._nearest(
+        city, np.broadcast_to(camera.position, directions.shape), directions, pixels, everywhere
+    )
     on = primitive > 0
     assert len(np.unique(primitive)) > 10
     assert (solid[on] == primitive[on]).all()
@@ -138,8 +148,9 @@ def test_pycolmap_reads_the_model(scene):
     for number, ours in enumerate(cameras, 1):
         image = model.images[number]
         assert image.name == f"{number - 1:03d}.jpg"
-        assert np.allclose(image.cam_from_world().matrix(),
-                           np.column_stack([ours.rotation, ours.translation]), atol=1e-9)
+        assert np.allclose(
+            image.cam_from_world().matrix(), np.column_stack([ours.rotation, ours.translation]), atol=1e-9
+        )
         pixels = read_image(scene / "images" / image.name)
         assert pixels.shape == (36, 48, 3) and pixels.std() > 20
 
@@ -151,8 +162,7 @@ def test_the_same_seed_gives_the_same_bytes(scene, tmp_path):
     again, other = contents(tmp_path / "again"), contents(tmp_path / "other")
     assert len(again) == 6 + 3 + 1
     assert contents(scene) == again
-    assert again.keys() == other.keys() and all(again[k] != other[k] for k in again
-                                                if k.name != "cameras.bin")
+    assert again.keys() == other.keys() and all(again[k] != other[k] for k in again if k.name != "cameras.bin")
 
 
 def test_the_geometry_has_exactly_the_numbers_that_were_rendered(scene):
@@ -163,8 +173,9 @@ def test_the_geometry_has_exactly_the_numbers_that_were_rendered(scene):
     assert (table["seed"], table["blocks"]) == (3, [1, 1])
 
 
-@pytest.mark.parametrize("option, value", [
-    ("--blocks", "0x1"), ("--views", "2"), ("--size", "0x36"), ("--size", "big"), ("--seed", "-1")])
+@pytest.mark.parametrize(
+    "option, value", [("--blocks", "0x1"), ("--views", "2"), ("--size", "0x36"), ("--size", "big"), ("--seed", "-1")]
+)
 def test_bad_numbers_are_refused_before_anything_is_written(tmp_path, option, value):
     with pytest.raises(SystemExit) as end:
         main([str(tmp_path / "scene"), option, value])

@@ -35,12 +35,15 @@ def flown():
 
 
 @pytest.mark.parametrize("detail", [0.0, DETAIL])
-@pytest.mark.parametrize("position, forward", [
-    ((3, -16, 21), (0.1, 0.7, -1)),  # obliquely from above
-    ((9.5, 2, 1.5), (0.1, 1, 0.1))])  # down a street: sky, and rays along the axes
+@pytest.mark.parametrize(
+    "position, forward",
+    [
+        ((3, -16, 21), (0.1, 0.7, -1)),  # obliquely from above
+        ((9.5, 2, 1.5), (0.1, 1, 0.1)),
+    ],
+)  # down a street: sky, and rays along the axes
 def test_a_photo_is_that_of_the_reference(device, city, detail, position, forward):
-    camera = looking(np.array(position, float), np.array(forward, float), np.array([0, 0, 1.0]),
-                     40, 30)
+    camera = looking(np.array(position, float), np.array(forward, float), np.array([0, 0, 1.0]), 40, 30)
     texture, light = Texture(city, detail), (1.1, 1.0, 0.9)
     expected = raycast.render(texture, camera, light).astype(int)
     image = DeviceCity(device, texture).photo(camera, light).values()
@@ -65,7 +68,7 @@ def test_small_parts_and_detail_change_nothing_else(city):
     plain = lay_out((2, 1), 3)
     count = len(plain.boxes)
     assert (city.boxes[:count] == plain.boxes).all() and len(city.boxes) > 1.5 * count
-    assert (city.spheres[:len(plain.spheres)] == plain.spheres).all()
+    assert (city.spheres[: len(plain.spheres)] == plain.spheres).all()
 
 
 def test_sampled_points_lie_on_their_primitives(city):
@@ -102,7 +105,7 @@ def test_cities_grow_with_the_photos_at_the_same_pixel_and_overlap(views, blocks
     assert blocks_for(views, *size, pixel) == blocks
     city = lay_out((blocks, blocks))
     assert 0.73 < overlap_of(city, views, *size, pixel) < 0.79
-    nadir = fly(city, views, *size, pixel)[:views // 2]
+    nadir = fly(city, views, *size, pixel)[: views // 2]
     heights = np.array([camera.position[2] for camera in nadir])
     assert heights / nadir[0].focal[0] == pytest.approx(pixel, rel=0.04)
     steps = np.diff([camera.position[0] for camera in nadir])
@@ -120,8 +123,10 @@ def test_gains_drift_slowly_within_the_limit():
 
 @pytest.mark.slow
 def test_a_survey_is_a_scene_with_gps_and_the_same_bytes_again(item_device, tmp_path):
-    made = [synthesise_large(tmp_path / name, item_device, 10, SIZE, PIXEL, points=400, drift=0.1)
-            for name in ("first", "again")]
+    made = [
+        synthesise_large(tmp_path / name, item_device, 10, SIZE, PIXEL, points=400, drift=0.1)
+        for name in ("first", "again")
+    ]
     assert contents(tmp_path / "first") == contents(tmp_path / "again")
     assert made[0] == made[1] and made[0].points == 400
     scene = read_scene(tmp_path / "first")
@@ -134,9 +139,16 @@ def test_a_survey_is_a_scene_with_gps_and_the_same_bytes_again(item_device, tmp_
     assert table["gains"] == gains(10, 0.1).tolist()
 
 
-@pytest.mark.parametrize("options", [
-    ("--large", "--pixel", "0.01"), ("--large", "--drift", "2"), ("--large", "--points", "-5"),
-    ("--large", "--device", "abacus"), ("--drift", "0.1")])
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--large", "--pixel", "0.01"),
+        ("--large", "--drift", "2"),
+        ("--large", "--points", "-5"),
+        ("--large", "--device", "abacus"),
+        ("--drift", "0.1"),
+    ],
+)
 def test_bad_options_are_refused_before_anything_is_written(tmp_path, options):
     with pytest.raises(SystemExit) as end:
         main([str(tmp_path / "scene"), *options])

@@ -12,15 +12,24 @@ from clsplat.training.parts.average import LEAST_EVERY, Average
 from tests.data.tiny_training import CITY, model_digest, resumed, trained
 from tests.training.test_model import gaussians_of
 
-TINY = {"schedule": "sig", "init": "sfm", "levels": (1.0,), "iterations": 4 * LEAST_EVERY + 20,
-        "average": 0.5, "downscale": 8.0, "eval_every": 0, "exposure": "off"}
+TINY = {
+    "schedule": "sig",
+    "init": "sfm",
+    "levels": (1.0,),
+    "iterations": 4 * LEAST_EVERY + 20,
+    "average": 0.5,
+    "downscale": 8.0,
+    "eval_every": 0,
+    "exposure": "off",
+}
 
 
 def session_of(device, iterations=1000, share=0.3):
     """What the part needs of a session, with six gaussians."""
     model = Model(device, gaussians_of(6))
-    return SimpleNamespace(model=model, iteration=0, device=device, options=SimpleNamespace(
-        iterations=iterations, average=share))
+    return SimpleNamespace(
+        model=model, iteration=0, device=device, options=SimpleNamespace(iterations=iterations, average=share)
+    )
 
 
 def advance(session, part, value):

@@ -38,23 +38,31 @@ class Simulated(budget.Deadline):
     """A Deadline of a session without a device, whose steps take what a Clock says."""
 
     def __init__(self, seconds, clock, **options):
-        options = scaled_steps(resolve({}, {
-            "time_budget": f"{seconds}s", "iterations": 30000, "eval_every": 0, **options}))
-        schedule = schedule_of(options.schedule)(options, SceneFacts(
-            size=(1600, 1200), count=COUNT, inverse_distance=20.0, photos=None,
-            pixels=100 * 1600 * 1200))
+        options = scaled_steps(
+            resolve({}, {"time_budget": f"{seconds}s", "iterations": 30000, "eval_every": 0, **options})
+        )
+        schedule = schedule_of(options.schedule)(
+            options,
+            SceneFacts(size=(1600, 1200), count=COUNT, inverse_distance=20.0, photos=None, pixels=100 * 1600 * 1200),
+        )
         self.made, self.apart = clock, 0.0  # seconds so far that are not of training
         self.steps_at, self.upheavals = {}, {"lowered": 0, "level": 0, "grown": 0}  # the last steps
-        super().__init__(Unbuilt(options, schedule), SimpleNamespace(
-            elapsed=lambda: clock.now, trained=lambda: clock.now - self.apart), clock.evaluation,
-            RATE)
+        super().__init__(
+            Unbuilt(options, schedule),
+            SimpleNamespace(elapsed=lambda: clock.now, trained=lambda: clock.now - self.apart),
+            clock.evaluation,
+            RATE,
+        )
 
     def take_step(self):
         session, clock = self.session, self.made
         iteration = session.iteration + 1
         plan = self.allowed(session.schedule.plan(iteration))
-        for name, happens in (("level", plan.level != session.level), ("grown", plan.grows),
-                              ("lowered", plan.resets_opacity)):
+        for name, happens in (
+            ("level", plan.level != session.level),
+            ("grown", plan.grows),
+            ("lowered", plan.resets_opacity),
+        ):
             if happens:
                 self.upheavals[name] = iteration
         if plan.level != session.level:
@@ -78,8 +86,7 @@ class Simulated(budget.Deadline):
         """Seconds until the model is written, or until a step."""
         self.begin()
         session = self.session
-        while session.iteration < min(until or session.options.iterations,
-                                      session.options.iterations):
+        while session.iteration < min(until or session.options.iterations, session.options.iterations):
             self.take_step()
             if checkpoint_every and session.iteration % checkpoint_every == 0:
                 self.save()
@@ -124,8 +131,7 @@ def slowing(level, count, iteration):
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("step", [by_pixels, by_level, slowing])
-@pytest.mark.parametrize("options", [{}, {"levels": (2.0, 1.0)},
-                                     {"schedule": "constant"}], ids=str)
+@pytest.mark.parametrize("options", [{}, {"levels": (2.0, 1.0)}, {"schedule": "constant"}], ids=str)
 def test_a_run_ends_when_it_should(step, options):
     training = Simulated(240, Clock(step), **options)
     assert 0.97 * 240 < training.run() < 1.01 * 240
@@ -148,8 +154,7 @@ def test_a_resumed_run_keeps_to_the_budget():
     first.run(until=3000)
     first.save()
     before = first.session
-    state = json.loads(json.dumps({"budget": first.state(),
-                                   "schedule": before.schedule.state()}))
+    state = json.loads(json.dumps({"budget": first.state(), "schedule": before.schedule.state()}))
     again = Simulated(240, first.made)
     after = again.session
     again.load(state["budget"])
@@ -168,10 +173,16 @@ def by_area(level, count, iteration, unit=0.05):
 
 @pytest.mark.parametrize("step", [by_pixels, by_level, by_area])
 @pytest.mark.parametrize("seconds", [25, 31, 37, 60, 90])
-@pytest.mark.parametrize("options", [
-    {}, {"levels": (5.0, 4.0, 3.0, 2.0, 1.0), "level_share": 0.9},
-    {"schedule": "constant", "reset_every": 300, "densify_until": 30000},
-    {"schedule": "taming", "reset_every": 170, "densify_until": 30000}], ids=str)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"levels": (5.0, 4.0, 3.0, 2.0, 1.0), "level_share": 0.9},
+        {"schedule": "constant", "reset_every": 300, "densify_until": 30000},
+        {"schedule": "taming", "reset_every": 170, "densify_until": 30000},
+    ],
+    ids=str,
+)
 @pytest.mark.one_in(13)
 def test_a_run_never_ends_just_after_an_upheaval(step, seconds, options):
     """Reading a level's photos takes a tenth of the time, and steps get slower by up to 25 times
@@ -183,14 +194,12 @@ def test_a_run_never_ends_just_after_an_upheaval(step, seconds, options):
     assert training.run() < 1.1 * seconds
     since = {name: training.session.iteration - at for name, at in training.upheavals.items() if at}
     assert since.get("lowered", budget.RESET_RECOVERY) >= 0.8 * budget.RESET_RECOVERY
-    assert 0.8 * budget.GROWTH_RECOVERY <= min(
-        since.get(name, budget.GROWTH_RECOVERY) for name in ("level", "grown"))
+    assert 0.8 * budget.GROWTH_RECOVERY <= min(since.get(name, budget.GROWTH_RECOVERY) for name in ("level", "grown"))
 
 
 def after_steps(seconds, **options):
     """A Deadline of 100 s whose steps at level 1 take so many seconds."""
-    training = Simulated(100, Clock(lambda *_: seconds, evaluation=0.0, build=0.0),
-                         levels=(2.0, 1.0), **options)
+    training = Simulated(100, Clock(lambda *_: seconds, evaluation=0.0, build=0.0), levels=(2.0, 1.0), **options)
     training.session.level = 1.0
     training.begin()
     training.made.now += 10 * seconds
@@ -199,18 +208,22 @@ def after_steps(seconds, **options):
     return training
 
 
-@pytest.mark.parametrize("left, grows, lowers, stays", [
-    (budget.RESET_RECOVERY, True, True, False), (budget.RESET_RECOVERY - 1, True, False, False),
-    (budget.GROWTH_RECOVERY, True, False, False), (budget.GROWTH_RECOVERY - 1, False, False, True)])
+@pytest.mark.parametrize(
+    "left, grows, lowers, stays",
+    [
+        (budget.RESET_RECOVERY, True, True, False),
+        (budget.RESET_RECOVERY - 1, True, False, False),
+        (budget.GROWTH_RECOVERY, True, False, False),
+        (budget.GROWTH_RECOVERY - 1, False, False, True),
+    ],
+)
 def test_what_needs_time_begins_only_while_there_is_time(left, grows, lowers, stays):
     made = after_steps(0.1)
     made.session.level = 2.0
     made.made.now += made._left() - (left + 0.5) * 0.1
-    plan = Plan(level=1.0, degree=3, gathers=True, grows=True, decay=0.0, resets_opacity=True,
-                prunes_large=False)
+    plan = Plan(level=1.0, degree=3, gathers=True, grows=True, decay=0.0, resets_opacity=True, prunes_large=False)
     found = made.allowed(plan)
-    assert (found.grows, found.resets_opacity, found.level) == (
-        grows, lowers, 2.0 if stays else 1.0)
+    assert (found.grows, found.resets_opacity, found.level) == (grows, lowers, 2.0 if stays else 1.0)
     restored = after_steps(0.1)
     restored.session.level = 2.0
     restored.load(json.loads(json.dumps(made.state())))
@@ -226,6 +239,7 @@ def test_evaluations_are_evenly_spaced_and_take_an_eighth_of_the_time():
         for made.made.now in range(100):
             found += [made.made.now] * made.evaluates()
         return found
+
     assert due() == [13, 25, 38, 50, 63, 75, 88]
     made = Simulated(100, Clock(by_level, evaluation=4.0), eval_every="auto")
     assert due() == [34, 67]
@@ -234,10 +248,8 @@ def test_evaluations_are_evenly_spaced_and_take_an_eighth_of_the_time():
 @pytest.mark.parametrize("evaluation", [0.6, 60.0, 1e4])
 def test_too_little_is_refused_and_the_cure_is_one(evaluation):
     clock = Clock(by_level, evaluation=evaluation)
-    needed = clock.now + evaluation + budget.REPORT_SECONDS + budget.RESERVE_SHARE + (
-        checkpoint_bytes(COUNT, 3) / RATE)
-    with pytest.raises(InputError, match=rf"^--time-budget 1s: .*saving once take {needed:.1f} s"
-                       ) as caught:
+    needed = clock.now + evaluation + budget.REPORT_SECONDS + budget.RESERVE_SHARE + (checkpoint_bytes(COUNT, 3) / RATE)
+    with pytest.raises(InputError, match=rf"^--time-budget 1s: .*saving once take {needed:.1f} s") as caught:
         Simulated(1, clock)
     least = int(re.search(r"give at least (\d+)s$", str(caught.value))[1])
     Simulated(least, clock)
@@ -272,10 +284,8 @@ def test_how_fast_the_disk_of_a_run_is(tmp_path, monkeypatch, seconds, rate):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("views, together, expected", [
-    (0, 4, 0), (3, 4, 2), (40, 4, 20), (40, 1, 80)])
-def test_evaluations_take_as_long_as_views_that_are_scored_together(monkeypatch, views, together,
-                                                                   expected):
+@pytest.mark.parametrize("views, together, expected", [(0, 4, 0), (3, 4, 2), (40, 4, 20), (40, 1, 80)])
+def test_evaluations_take_as_long_as_views_that_are_scored_together(monkeypatch, views, together, expected):
     """Each call takes two seconds."""
     now, calls = [0.0], []
     monkeypatch.setattr(budget.time, "perf_counter", lambda: now[0])
@@ -287,7 +297,8 @@ def test_evaluations_take_as_long_as_views_that_are_scored_together(monkeypatch,
         now[0] += 2
 
     monkeypatch.setattr(budget, "evaluate_views", evaluated)
-    session = SimpleNamespace(test_views=views * [None], renderer=None, model=None,
-                              options=SimpleNamespace(sh_degree=3))
+    session = SimpleNamespace(
+        test_views=views * [None], renderer=None, model=None, options=SimpleNamespace(sh_degree=3)
+    )
     assert budget.evaluation_seconds(session) == expected
     assert calls == ([1, min(views, together)] if views else [])

@@ -41,6 +41,7 @@ def decoded_once():
         if key not in known:
             known[key] = decode(view)
         return known[key]
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(photos, "decode", of)
         yield
@@ -56,17 +57,18 @@ def found(scene, **options):
 
 @pytest.fixture
 def drift(monkeypatch):
-    """Sets the drift that is measured; returns what it was measured on. Other photos are not read.
-    """
+    """Sets the drift that is measured; returns what it was measured on. Other photos are not read."""
     seen = []
 
     def set_to(value):
         def measure(views, photos, points, colours):
             seen.append((views, photos, points))
             return value
+
         monkeypatch.setattr(exposures, "exposure_drift", measure)
         monkeypatch.setattr(module, "colour_disagreement", lambda *_: math.nan)
         return seen
+
     return set_to
 
 
@@ -92,11 +94,21 @@ def test_the_number_of_steps_follows_the_photos(photos, steps):
 
 
 @pytest.mark.one_in(9)
-@pytest.mark.parametrize("photos, differ, most", [
-    (32, 0.0, ENOUGH), (32, AGREEING, ENOUGH), (32, math.nan, ENOUGH), (32, 0.05, 1600),
-    (32, 0.2, 1600), (12, 0.2, FEWEST), (100, 0.0, 7500), (40, 0.04, 2551), (100, 0.2, 5000)])
-def test_more_steps_than_the_photos_allow_are_not_taken(city, drift, monkeypatch, photos, differ,
-                                                       most):
+@pytest.mark.parametrize(
+    "photos, differ, most",
+    [
+        (32, 0.0, ENOUGH),
+        (32, AGREEING, ENOUGH),
+        (32, math.nan, ENOUGH),
+        (32, 0.05, 1600),
+        (32, 0.2, 1600),
+        (12, 0.2, FEWEST),
+        (100, 0.0, 7500),
+        (40, 0.04, 2551),
+        (100, 0.2, 5000),
+    ],
+)
+def test_more_steps_than_the_photos_allow_are_not_taken(city, drift, monkeypatch, photos, differ, most):
     drift(0.0)
     monkeypatch.setattr(module, "colour_disagreement", lambda *_: differ)
     city = replace(city, views=(4 * city.views)[:photos], observations=None)
@@ -111,8 +123,7 @@ def test_more_steps_than_the_photos_allow_are_not_taken(city, drift, monkeypatch
     budget = decided(time_budget="1h")
     assert budget.options.iterations == budget.most_steps == most
     assert decided(iterations=30_000, visits=100.0).options.iterations == 100 * photos
-    for every in ({}, {"visits": 0.0}, {"coarse": True}, {"schedule": "constant"},
-                  {"schedule": "mcmc"}):
+    for every in ({}, {"visits": 0.0}, {"coarse": True}, {"schedule": "constant"}, {"schedule": "mcmc"}):
         assert decided(iterations=30_000, **every).options.iterations == 30_000
     assert resolve({}, {"preset": "paper"}).visits == resolve({}, {"preset": "release"}).visits == 0
 
@@ -130,8 +141,11 @@ def test_exposures_are_learned_where_photos_drift(city, drift, measured, answer)
 def test_the_city_does_not_drift_until_its_photos_are_darkened(city, monkeypatch):
     assert found(city).options.exposure == "off"
     read = photos.decoded
-    monkeypatch.setattr(photos, "decoded", lambda views: (
-        (photo * (0.6 if i % 2 else 1)).astype(np.uint8) for i, photo in enumerate(read(views))))
+    monkeypatch.setattr(
+        photos,
+        "decoded",
+        lambda views: ((photo * (0.6 if i % 2 else 1)).astype(np.uint8) for i, photo in enumerate(read(views))),
+    )
     assert found(city).options.exposure == "on"
 
 
@@ -143,10 +157,8 @@ def test_what_is_asked_for_is_not_measured(city, drift, answer):
     assert result.reasons["exposure"] == f"{answer}: requested"
 
 
-@pytest.mark.parametrize("measured, answer",
-                         [(DARKENS, "on"), (0.99 * DARKENS, "off"), (-1, "off")])
-def test_vignetting_is_learned_with_exposures_where_corners_are_darker(city, monkeypatch, measured,
-                                                                       answer):
+@pytest.mark.parametrize("measured, answer", [(DARKENS, "on"), (0.99 * DARKENS, "off"), (-1, "off")])
+def test_vignetting_is_learned_with_exposures_where_corners_are_darker(city, monkeypatch, measured, answer):
     monkeypatch.setattr(exposures, "corner_darkening", lambda *_: measured)
     result = found(city, exposure="on", vignetting="auto")
     assert result.options.vignetting == answer
@@ -165,7 +177,7 @@ def test_few_small_photos_stand_for_all(city, drift):
     large = replace(city.views[0], camera=city.views[0].camera.resized(4 * SMALL_SIDE, 100))
     many = replace(city, views=(large, *city.views * 5))
     find_decisions(survey_of(many, resolve({}, {"reproject": "off"})))
-    (views, _, points), = seen
+    ((views, _, points),) = seen
     assert 0.5 * SAMPLED_PHOTOS <= len(views) <= SAMPLED_PHOTOS and points is many.points
     assert [view.name for view in views] == [view.name for view in many.views[::3]]
     assert max(max(v.camera.width, v.camera.height) for v in views) <= SMALL_SIDE
@@ -199,8 +211,7 @@ def test_the_shortest_side_counts(city):
 
 def test_levels_are_named(city, drift):
     drift(0.0)
-    large = replace(city, views=tuple(
-        replace(view, camera=view.camera.resized(320, 240)) for view in city.views))
+    large = replace(city, views=tuple(replace(view, camera=view.camera.resized(320, 240)) for view in city.views))
     dense = found(large, iterations=3000)
     assert dense.values["levels"] == (2.0, 1.0)
     assert "; dense points enter with them; sides" in dense.reasons["levels"]
@@ -209,10 +220,9 @@ def test_levels_are_named(city, drift):
     result = found(large, iterations=3000, init="sfm")
     assert result.values["levels"] == (3.0, 2.0, 1.0)
     assert result.reasons["levels"] == (
-        "3 2 1: 106 x 80 to 320 x 240 pixels; sides below 64, and levels shorter than 200 steps, "
-        "are left out")
-    assert found(large, levels=(4.0, 1.0)).reasons["levels"] == (
-        "4 1: requested; 80 x 60 to 320 x 240 pixels")
+        "3 2 1: 106 x 80 to 320 x 240 pixels; sides below 64, and levels shorter than 200 steps, are left out"
+    )
+    assert found(large, levels=(4.0, 1.0)).reasons["levels"] == ("4 1: requested; 80 x 60 to 320 x 240 pixels")
     assert found(large, schedule="constant").values["levels"] == (1.0,)
 
 
@@ -222,8 +232,7 @@ def test_moments_are_coded_by_the_gaussians_to_come(city, drift, monkeypatch, tm
     needed = 3 * 59 * 15 * 4400 * 4  # bytes, at the end
 
     def engine(memory, **changes):
-        device = SimpleNamespace(real=np.dtype(np.float32), memory_limit=memory,
-                                 limit_memory=lambda nbytes: None)
+        device = SimpleNamespace(real=np.dtype(np.float32), memory_limit=memory, limit_memory=lambda nbytes: None)
         return find_decisions(survey_of(city, replace(options, **changes)), device)
 
     assert engine(3.02 * needed).options.engine == "device"

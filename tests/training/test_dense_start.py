@@ -33,20 +33,32 @@ def chosen(scene, **options):
     return start(scene, resolve({}, {"iterations": 7000, **options}))
 
 
-@pytest.mark.parametrize("options, value", [
-    ({}, "dense"), ({"schedule": "constant"}, "sfm"), ({"schedule": "mcmc"}, "sfm"),
-    ({"preset": "paper"}, "sfm"), ({"preset": "release"}, "sfm"), ({"coarse": True}, "sfm"),
-    ({"init": "sfm"}, "sfm"), ({"init": "random"}, "random"),
-    ({"iterations": 32 * initialise.LEAST_STEPS}, "dense"),
-    ({"iterations": 32 * initialise.LEAST_STEPS - 1}, "sfm"),
-    ({"init": "dense", "schedule": "constant"}, "dense"), ({"init": "dense"}, "dense")], ids=str)
+@pytest.mark.parametrize(
+    "options, value",
+    [
+        ({}, "dense"),
+        ({"schedule": "constant"}, "sfm"),
+        ({"schedule": "mcmc"}, "sfm"),
+        ({"preset": "paper"}, "sfm"),
+        ({"preset": "release"}, "sfm"),
+        ({"coarse": True}, "sfm"),
+        ({"init": "sfm"}, "sfm"),
+        ({"init": "random"}, "random"),
+        ({"iterations": 32 * initialise.LEAST_STEPS}, "dense"),
+        ({"iterations": 32 * initialise.LEAST_STEPS - 1}, "sfm"),
+        ({"init": "dense", "schedule": "constant"}, "dense"),
+        ({"init": "dense"}, "dense"),
+    ],
+    ids=str,
+)
 def test_sig_begins_at_dense_points_where_the_run_is_long_enough(city, options, value):
     found, reason = chosen(city, **options)
     assert found == value and reason.startswith(f"{value}: ")
 
 
-@pytest.mark.parametrize("seconds, value", [(32 * initialise.LEAST_SECONDS, "dense"),
-                                            (32 * initialise.LEAST_SECONDS - 1, "sfm")])
+@pytest.mark.parametrize(
+    "seconds, value", [(32 * initialise.LEAST_SECONDS, "dense"), (32 * initialise.LEAST_SECONDS - 1, "sfm")]
+)
 def test_a_short_time_budget_begins_at_the_sparse_points(city, seconds, value):
     options = resolve({}, {"time_budget": f"{seconds:g}s", "iterations": 30_000})
     assert start(city, options)[0] == value
@@ -71,14 +83,18 @@ def test_initial_gaussians_are_as_many_as_were_planned(city, float_device, monke
     wanted = prepared.decisions.facts.count
     with monkeypatch.context() as patch:  # they are known by the decisions
         patch.delattr(dense_points_module, "stereo_views")
-        gaussians, seconds, parts = initialise.first_gaussians(float_device, prepared,
-                                                               SilentProgress(),
-                                                               enter=False)
+        gaussians, seconds, parts = initialise.first_gaussians(float_device, prepared, SilentProgress(), enter=False)
     assert parts == ()
     assert 0.5 * wanted < gaussians.count <= wanted < len(city.points) and seconds > 0
     assert 0 < initialise.start_seconds(float_device, prepared) < 60
-    monkeypatch.setattr(initialise, "_dense", lambda *given: (SimpleNamespace(
-        positions=city.points, colours=city.colours, sizes=np.ones(len(city.points))), 1.0))
+    monkeypatch.setattr(
+        initialise,
+        "_dense",
+        lambda *given: (
+            SimpleNamespace(positions=city.points, colours=city.colours, sizes=np.ones(len(city.points))),
+            1.0,
+        ),
+    )
     few = replace(options, max_gaussians=len(city.points) - 1, levels=(2.0, 1.0))
     with pytest.raises(InputError, match=f"--max-gaussians .* starts with {len(city.points)};"):
         initialise.first_gaussians(float_device, prepare(city, few), SilentProgress())
@@ -96,6 +112,7 @@ def test_photos_are_read_during_the_search(city, item_device, tmp_path, monkeypa
         def call(*given):
             begun.append(reads(*given))
             return begun[-1]
+
         return call
 
     def search(*given):
@@ -115,14 +132,29 @@ def test_photos_are_read_during_the_search(city, item_device, tmp_path, monkeypa
 @pytest.mark.slow
 def test_a_training_begins_there_and_counts_the_time(city, item_device, tmp_path, monkeypatch):
     """The time of dense points is time of the training, also after it was resumed."""
-    monkeypatch.setattr(start_module, "first_gaussians",
-                        lambda *given: initialise.first_gaussians(*given)._replace(seconds=1e3))
-    run = trained(tmp_path / "run", city, item_device, schedule="sig",
-                  iterations=32 * initialise.LEAST_STEPS,
-                  init="dense", stop_at=20, levels=(1.0,))
+    monkeypatch.setattr(
+        start_module, "first_gaussians", lambda *given: initialise.first_gaussians(*given)._replace(seconds=1e3)
+    )
+    run = trained(
+        tmp_path / "run",
+        city,
+        item_device,
+        schedule="sig",
+        iterations=32 * initialise.LEAST_STEPS,
+        init="dense",
+        stop_at=20,
+        levels=(1.0,),
+    )
     assert records(run, "plan")[0]["reasons"]["init"].startswith("dense: ")
-    resumed(run, city, item_device, schedule="sig", iterations=32 * initialise.LEAST_STEPS,
-            init="dense",
-            stop_at=110, levels=(1.0,))
+    resumed(
+        run,
+        city,
+        item_device,
+        schedule="sig",
+        iterations=32 * initialise.LEAST_STEPS,
+        init="dense",
+        stop_at=110,
+        levels=(1.0,),
+    )
     seconds = [record["train_seconds"] for record in records(run, "step")]
     assert len(seconds) > 1 and 1e3 < seconds[0] < seconds[-1] < 2e3

@@ -64,9 +64,14 @@ def test_a_step_uses_the_map_of_a_view_that_has_one(device):
 
     def moved(depth_weight, *depths):
         maps, values = DepthMaps(depth_weight), []
-        step = Step(renderer, Model(device, Gaussians.from_points(
-            scene.points, scene.colours, 0), "device"), scene.extent, 1e-3,
-            TrainOptions(iterations=100), [ImageTerm(), *[maps] * (depth_weight > 0)])
+        step = Step(
+            renderer,
+            Model(device, Gaussians.from_points(scene.points, scene.colours, 0), "device"),
+            scene.extent,
+            1e-3,
+            TrainOptions(iterations=100),
+            [ImageTerm(), *[maps] * (depth_weight > 0)],
+        )
         for number, depth in enumerate(depths, 1):
             maps.map_of = lambda view, depth=depth: depth
             values.append(step.values(step.run(number, PLAN, [TrainingSample(0, packed, photo)])))
@@ -87,9 +92,15 @@ def test_a_training_is_held_by_its_maps(item_device, folder):
     """The more, the more they weigh; these maps contradict the photos."""
     errors = {}
     for weight in (0.01, 3.0):
-        run = trained(folder.parent / f"run_{weight}", read_scene(folder), item_device, **STILL,
-                      iterations=200, depth="depth", depth_weight=weight)
-        found = [record["depth_error"] for record in records(run, "step")
-                 if "depth_error" in record]
+        run = trained(
+            folder.parent / f"run_{weight}",
+            read_scene(folder),
+            item_device,
+            **STILL,
+            iterations=200,
+            depth="depth",
+            depth_weight=weight,
+        )
+        found = [record["depth_error"] for record in records(run, "step") if "depth_error" in record]
         errors[weight] = found[-1]
     assert errors[3.0] < 0.95 * errors[0.01], errors

@@ -28,9 +28,12 @@ def options_of(spheres):
 def filled(spheres=True, side=SIDE):
     """A part with points of a plane, two pixels from each other, and the coarsest gaussians."""
     x, y = np.meshgrid(np.arange(side), np.arange(side))
-    state = {"positions": CELL * np.column_stack([x.ravel(), y.ravel(), np.zeros(side**2)]) + 0.5,
-             "colours": np.column_stack([x.ravel(), y.ravel(), x.ravel()]).astype(np.uint8),
-             "sizes": np.ones(side**2), "pixels": np.array([CELL])}
+    state = {
+        "positions": CELL * np.column_stack([x.ravel(), y.ravel(), np.zeros(side**2)]) + 0.5,
+        "colours": np.column_stack([x.ravel(), y.ravel(), x.ravel()]).astype(np.uint8),
+        "sizes": np.ones(side**2),
+        "pixels": np.array([CELL]),
+    }
     part = EnteringPoints()
     return part, part.fill(state, LEVELS, options_of(spheres))
 
@@ -82,9 +85,11 @@ def test_few_points_enter_at_once():
 
 def session_of(rows, found):
     """What the part needs of a session whose model has these rows."""
-    return SimpleNamespace(step=SimpleNamespace(
-        model=SimpleNamespace(catch_up=lambda: None, field=rows.__getitem__),
-        replace_rows=found.append))
+    return SimpleNamespace(
+        step=SimpleNamespace(
+            model=SimpleNamespace(catch_up=lambda: None, field=rows.__getitem__), replace_rows=found.append
+        )
+    )
 
 
 def plan(level):
@@ -95,8 +100,7 @@ def plan(level):
 def test_the_next_level_takes_over_what_was_trained(spheres):
     part, first = filled(spheres)
     rng, found, new = np.random.default_rng(0), [], part.nodes[1].result().rows
-    moved = {name: values + rng.normal(size=values.shape).astype(np.float32)
-             for name, values in first.rows.items()}
+    moved = {name: values + rng.normal(size=values.shape).astype(np.float32) for name, values in first.rows.items()}
     session, parents = session_of(moved, found), part.parents[0]
     assert part.before_step(session, plan(4.0)) is None and found == []
     assert part.before_step(session, plan(2.0)) == {"entered": SIDE**2 // 4}
@@ -116,12 +120,12 @@ def test_the_next_level_takes_over_what_was_trained(spheres):
 def test_a_part_goes_on_from_its_state():
     part, _ = filled()
     other = EnteringPoints()
-    other.load(part.state(), SimpleNamespace(
-        schedule=SimpleNamespace(levels=LEVELS), options=options_of(True), level=2.0))
+    other.load(
+        part.state(), SimpleNamespace(schedule=SimpleNamespace(levels=LEVELS), options=options_of(True), level=2.0)
+    )
     assert other.levels == (2.0, 1.0) and len(other.nodes) == 2
     for own, its in zip(part.nodes[1:], other.nodes):
-        assert all(np.array_equal(own.result().rows[name], its.result().rows[name])
-                   for name in own.result().rows)
+        assert all(np.array_equal(own.result().rows[name], its.result().rows[name]) for name in own.result().rows)
     assert np.array_equal(part.parents[1], other.parents[0])
     other = EnteringPoints()
     other.load({}, None)
@@ -132,8 +136,14 @@ def test_a_part_goes_on_from_its_state():
 def test_a_training_resumed_at_a_coarser_level_ends_in_the_same_bytes(item_device, tmp_path):
     """Gaussians that enter after the resume come from the checkpoint."""
     scene = read_scene(CITY)
-    options = {"schedule": "sig", "init": "dense", "iterations": 60, "levels": (4.0, 2.0, 1.0),
-               "downscale": 3.0, "checkpoint_every": 4}
+    options = {
+        "schedule": "sig",
+        "init": "dense",
+        "iterations": 60,
+        "levels": (4.0, 2.0, 1.0),
+        "downscale": 3.0,
+        "checkpoint_every": 4,
+    }
     whole = trained(tmp_path / "whole", scene, item_device, **options)
     counts = [record["entered"] for record in records(whole, "points")]
     plan = records(whole, "plan")[0]

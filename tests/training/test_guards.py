@@ -1,6 +1,5 @@
 """What is not finite: gradients are skipped, counted and told of; what is spoilt is never saved."""
 
-
 import numpy as np
 import pytest
 
@@ -34,14 +33,24 @@ def often(monkeypatch):
 @pytest.fixture
 def train(item_device, often, scene, tmp_path):
     """train(**options): a run of its own, on the device; .messages: what the user was told."""
+
     class Progress(SilentProgress):
         def message(self, text):
             messages.append(text)
 
     def train(folder="run", resumes=False, **changes):
-        options = resolve({}, {
-            "schedule": "constant", "iterations": STEPS, "test_every": 4, "sh_degree": 0,
-            "densify_from": 1000, "checkpoint_every": EVERY, **changes})
+        options = resolve(
+            {},
+            {
+                "schedule": "constant",
+                "iterations": STEPS,
+                "test_every": 4,
+                "sh_degree": 0,
+                "densify_from": 1000,
+                "checkpoint_every": EVERY,
+                **changes,
+            },
+        )
         if resumes:
             run = RunFolder.open(tmp_path / folder)
             trainings.resumed(scene, options, item_device, run, Progress()).take()
@@ -57,14 +66,16 @@ def train(item_device, often, scene, tmp_path):
 @pytest.fixture
 def poison(monkeypatch):
     """poison(first, last, share): in those steps, so much of the image's gradient is nan."""
+
     def poison(first, last, share=1.0):
         calls = []
+
         def poisoned(device, image, photo, weight):
             calls.append(1)
             sums, grad_image = original(device, image, photo, weight)
             if first <= len(calls) <= last:
                 values = grad_image.download()
-                values[:, :int(np.ceil(share * values.shape[1]))] = np.nan
+                values[:, : int(np.ceil(share * values.shape[1]))] = np.nan
                 grad_image.write(values)
             return sums, grad_image
 
@@ -92,7 +103,7 @@ def test_some_are_skipped_counted_and_told_of_once(train, poison, monkeypatch):
     assert counted > 0
     assert [steps[i]["skipped_rows"] for i in (1, 10, 20, 30, 40)] == [0, 0] + 3 * [counted]
     assert [steps[i]["skipped_since"] for i in (1, 10, 20, 30, 40)] == [0, 0, counted, 0, 0]
-    message, = [text for text in train.messages if "finite" in text]
+    (message,) = [text for text in train.messages if "finite" in text]
     assert message.startswith(f"step 15: {counted:,} gradients were not finite and were skipped")
     assert_finite(run)
     assert all(np.isfinite(record["loss"]) for record in steps.values())
@@ -125,8 +136,9 @@ def test_spoilt_parameters_are_not_saved(train, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(loop, "densify", spoil)
-        with pytest.raises(InputError, match="run: row.log_scales at step 20: not finite; the "
-                                             "last checkpoint is kept: ") as caught:
+        with pytest.raises(
+            InputError, match="run: row.log_scales at step 20: not finite; the last checkpoint is kept: "
+        ) as caught:
             train()
     run = RunFolder.open(caught.value.args[0].partition(":")[0])
     assert run.load_checkpoint()[1]["iteration"] == 10

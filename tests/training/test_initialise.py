@@ -19,14 +19,12 @@ def scene():
     rng = np.random.default_rng(4)
     points = rng.normal(size=(COUNT, 3)) * [5, 2, 1]
     points[0] = 1e4  # an outlier, which must not spread the random ones
-    return Scene("made", (), points, rng.integers(0, 256, (COUNT, 3), np.uint8),
-                 np.array([5e6, 3.0, -7e5]))
+    return Scene("made", (), points, rng.integers(0, 256, (COUNT, 3), np.uint8), np.array([5e6, 3.0, -7e5]))
 
 
 def made(degree, fields=LEARNED):
     rng = np.random.default_rng(1)
-    return Gaussians({f.name: rng.normal(size=(6, *f.row_shape(degree))).astype(np.float32)
-                      for f in fields}, degree)
+    return Gaussians({f.name: rng.normal(size=(6, *f.row_shape(degree))).astype(np.float32) for f in fields}, degree)
 
 
 def test_on_the_sparse_points(scene):
@@ -41,10 +39,8 @@ def test_on_the_sparse_points(scene):
 
 def test_neighbours_of_a_coarse_run_lie_together(scene):
     """The same gaussians, in an order in which the next one is near."""
-    as_given, ordered = (initial_gaussians(scene, TrainOptions(sh_degree=1, coarse=coarse))
-                         for coarse in (False, True))
-    steps = [np.median(np.linalg.norm(np.diff(each.positions, axis=0), axis=1))
-             for each in (as_given, ordered)]
+    as_given, ordered = (initial_gaussians(scene, TrainOptions(sh_degree=1, coarse=coarse)) for coarse in (False, True))
+    steps = [np.median(np.linalg.norm(np.diff(each.positions, axis=0), axis=1)) for each in (as_given, ordered)]
     assert steps[1] < steps[0] / 4
     places = [np.lexsort(each.positions.T) for each in (as_given, ordered)]
     for name, rows in as_given.rows.items():
@@ -52,8 +48,7 @@ def test_neighbours_of_a_coarse_run_lie_together(scene):
 
 
 def test_random(scene):
-    first, again, other = (initial_gaussians(scene, TrainOptions(init="random", seed=seed))
-                           for seed in (3, 3, 4))
+    first, again, other = (initial_gaussians(scene, TrainOptions(init="random", seed=seed)) for seed in (3, 3, 4))
     assert first.count == COUNT
     low, high = np.percentile(scene.points, (1, 99), axis=0)
     assert (first.positions >= low - 1e-5).all() and (first.positions <= high + 1e-5).all()
@@ -68,8 +63,9 @@ def test_from_a_file(scene, tmp_path, stored, wanted):
     """Of another scene's offset: world coordinates are what they share."""
     path, given = tmp_path / "a.ply", made(stored)
     write_ply(path, given, scene.offset + [1, 0, 0])
-    gaussians = initial_gaussians(scene, TrainOptions(
-        init=str(path), sh_degree=wanted, sphere=False))  # six are too few for spheres
+    gaussians = initial_gaussians(
+        scene, TrainOptions(init=str(path), sh_degree=wanted, sphere=False)
+    )  # six are too few for spheres
     assert gaussians.sh_degree == wanted
     assert np.allclose(gaussians.positions, given.positions + np.float32([1, 0, 0]), atol=1e-6)
     for name in ("log_scales", "quaternions", "opacity_logits", "sh_constant"):
@@ -80,8 +76,9 @@ def test_from_a_file(scene, tmp_path, stored, wanted):
     assert not gaussians.sh_rest[:, shared:].any()
 
 
-@pytest.mark.parametrize("options, kept", [
-    ({"sphere": True}, True), ({}, False), ({"sphere": True, "schedule": "constant"}, False)])
+@pytest.mark.parametrize(
+    "options, kept", [({"sphere": True}, True), ({}, False), ({"sphere": True, "schedule": "constant"}, False)]
+)
 def test_spheres_of_a_file_are_kept_where_the_training_has_spheres(scene, tmp_path, options, kept):
     path, given = tmp_path / "a.ply", made(2, FIELDS)
     write_ply(path, given, scene.offset + [1, 0, 0], sphere=True)

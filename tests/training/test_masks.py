@@ -43,8 +43,10 @@ def masked_city(every, fill):
 @pytest.mark.slow
 def test_what_is_under_masks_changes_no_byte(item_device, tmp_path):
     """Of a training with all parts, and of its scores; half of the views have a mask."""
-    runs = [trained(tmp_path / str(fill), masked_city(2, fill), item_device, **{
-        **LEVELLED, "iterations": 60}) for fill in (1, 2)]
+    runs = [
+        trained(tmp_path / str(fill), masked_city(2, fill), item_device, **{**LEVELLED, "iterations": 60})
+        for fill in (1, 2)
+    ]
     assert model_digest(runs[0]) == model_digest(runs[1])
     scores = [records(run, "eval")[-1] for run in runs]
     assert all(scores[0][key] == scores[1][key] for key in ("psnr", "ssim", "psnr_cc", "ssim_cc"))
@@ -60,18 +62,21 @@ def a_step(device, mask):
         photo = np.concatenate([photo, mask(height, width)[None] * np.uint8(255)])
     renderer = Renderer(device, 1, case["near"])
     rows = {name: values.astype(np.float32) for name, values in case["rows"].items()}
-    step = Step(renderer, Model(device, Gaussians(rows, 1), "device"), 1.0, 1e-3,
-                TrainOptions(iterations=100), [ImageTerm()])
+    step = Step(
+        renderer, Model(device, Gaussians(rows, 1), "device"), 1.0, 1e-3, TrainOptions(iterations=100), [ImageTerm()]
+    )
     step.run(1, PLAN, [TrainingSample(0, renderer.pack(camera_of(case)), device.upload(photo))])
     return step, rows
 
 
 def test_growth_counts_only_views_that_taught_something(device):
     seen, norms = {}, {}
-    for name, mask in (("none", None), ("all", lambda *size: np.ones(size, bool)),
-                       ("empty", lambda *size: np.zeros(size, bool)),
-                       ("left", lambda height, width: np.arange(width) < np.full(
-                           (height, 1), width // 4))):
+    for name, mask in (
+        ("none", None),
+        ("all", lambda *size: np.ones(size, bool)),
+        ("empty", lambda *size: np.zeros(size, bool)),
+        ("left", lambda height, width: np.arange(width) < np.full((height, 1), width // 4)),
+    ):
         step, rows = a_step(device, mask)
         seen[name] = step.statistics.seen_count.download()
         norms[name] = step.statistics.grad_norm_sum.download()
@@ -93,10 +98,15 @@ def test_growth_counts_views_that_show_a_gaussian_beside_their_masks(float_devic
     rows = {name: device.upload(values) for name, values in case["rows"].items()}
     frame = renderer.render(rows, renderer.pack(camera_of(case)), width, height, 1)
     photo = np.zeros((4, height, width), np.uint8)
-    photo[3, :, width // 2:] = 255
+    photo[3, :, width // 2 :] = 255
     seen = device.zeros(len(case["rows"]["positions"]), np.uint32)
-    renderer.adjoint(rows, frame, device.zeros((3, height, width)), masked=device.upload(photo),
-                     statistics=(device.zeros(len(seen)), seen))
+    renderer.adjoint(
+        rows,
+        frame,
+        device.zeros((3, height, width)),
+        masked=device.upload(photo),
+        statistics=(device.zeros(len(seen)), seen),
+    )
     across = frame.splats.download()[:, 0].clip(0, width - 1).astype(int)
     assert np.array_equal(seen.download()[frame.visible.download()], across >= width // 2)
     assert 0 < seen.download().sum() < len(across)
@@ -104,13 +114,11 @@ def test_growth_counts_views_that_show_a_gaussian_beside_their_masks(float_devic
 
 def test_a_view_that_is_all_masked_has_no_score(item_device):
     scene = read_scene(CITY).reduced(8)
-    empty = replace(scene.views[1], mask=encode_image(
-        np.zeros((240, 320, 3), np.uint8), "png", 0, "mask"))
+    empty = replace(scene.views[1], mask=encode_image(np.zeros((240, 320, 3), np.uint8), "png", 0, "mask"))
     gaussians = Gaussians.from_points(scene.points, scene.colours, 0)
     renderer, model = Renderer(item_device, 0, scene.near_plane), Model(item_device, gaussians)
     views = [scene.views[0], empty]
     result = evaluate_views(renderer, model.rows, 0, views)
     assert result["views"] == 1 and [v["name"] for v in result["per_view"]] == [views[0].name]
-    assert result["psnr"] == pytest.approx(
-        evaluate_views(renderer, model.rows, 0, views[:1])["psnr"])
+    assert result["psnr"] == pytest.approx(evaluate_views(renderer, model.rows, 0, views[:1])["psnr"])
     assert np.isnan(evaluate_views(renderer, model.rows, 0, [empty])["psnr"])

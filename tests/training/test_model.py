@@ -29,8 +29,9 @@ ENGINES = pytest.mark.parametrize("engine", ["device", "numpy"])
 
 def gaussians_of(count, seed=0, fields=LEARNED):
     rng = np.random.default_rng(seed)
-    return Gaussians({f.name: rng.normal(size=(count, *f.row_shape(DEGREE))).astype(np.float32)
-                      for f in fields}, DEGREE)
+    return Gaussians(
+        {f.name: rng.normal(size=(count, *f.row_shape(DEGREE))).astype(np.float32) for f in fields}, DEGREE
+    )
 
 
 def with_moments(device, engine, count, fields=LEARNED):
@@ -56,12 +57,15 @@ def growth_of(source, kept, children, spheres=False):
 
 @ENGINES
 @pytest.mark.parametrize("fields", [LEARNED, FIELDS], ids=["plain", "spheres"])
-@pytest.mark.parametrize("source, kept, children", [
-    ([0, 2, 5, 6, 2, 6, 1, 1, 4, 4], 4, 4),  # grows
-    ([6, 3], 2, 0),  # only prunes
-    ([3, 3], 0, 2),  # only children are left
-    ([], 0, 0),
-])
+@pytest.mark.parametrize(
+    "source, kept, children",
+    [
+        ([0, 2, 5, 6, 2, 6, 1, 1, 4, 4], 4, 4),  # grows
+        ([6, 3], 2, 0),  # only prunes
+        ([3, 3], 0, 2),  # only children are left
+        ([], 0, 0),
+    ],
+)
 def test_rows_and_moments_follow_growth(float_device, engine, fields, source, kept, children):
     model, given, m, v = with_moments(float_device, engine, 7, fields)
     growth = growth_of(source, kept, children, spheres=fields is FIELDS)
@@ -112,14 +116,12 @@ def stepping(device, engine="device", rows=None, parts=(), **options):
     photo = np.random.default_rng(0).integers(0, 256, (3, height, width), np.uint8)
     renderer = Renderer(device, DEGREE, case["near"])
     model = Model(device, Gaussians(case_rows() if rows is None else rows, DEGREE), engine)
-    step = Step(renderer, model, 1.0, 1e-3, TrainOptions(iterations=100, **options),
-                [*parts, ImageTerm()])
+    step = Step(renderer, model, 1.0, 1e-3, TrainOptions(iterations=100, **options), [*parts, ImageTerm()])
     return step, TrainingSample(0, renderer.pack(camera_of(case)), device.upload(photo))
 
 
 def plan_of(decay=0.5):
-    return Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
-                decay=decay)
+    return Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False, decay=decay)
 
 
 def case_rows():
@@ -165,7 +167,7 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
     def spoilt(*arguments):
         sums, grad_image = whole(*arguments)
         values = grad_image.download()
-        values[:, :height // 3] = np.nan
+        values[:, : height // 3] = np.nan
         grad_image.write(values)
         return sums, grad_image
 
@@ -244,8 +246,7 @@ def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, e
 
 
 SMALL, LARGE, HUGE = 0.05, 0.2, 1.1  # of an extent of 10: cloned, split, pruned unless split
-GROWS = Plan(1.0, DEGREE, gathers=True, grows=True, resets_opacity=False, prunes_large=True,
-             decay=0.5)
+GROWS = Plan(1.0, DEGREE, gathers=True, grows=True, resets_opacity=False, prunes_large=True, decay=0.5)
 
 
 def follow(device, gradients, scales, opacities=0.5, fields=LEARNED, **changes):
@@ -257,10 +258,8 @@ def follow(device, gradients, scales, opacities=0.5, fields=LEARNED, **changes):
     if "anchors" in given.rows:
         given.rows["anchors"][:] = given.positions
         given.rows["max_offsets"][:] = np.arange(1, given.count + 1)
-    options = TrainOptions(schedule="constant", grow_threshold=1.0, prune_size=0.1,
-                           **changes)
-    step = Step(Renderer(device, DEGREE, 0.2), Model(device, given), 10.0, 0.01, options,
-                [ImageTerm()])
+    options = TrainOptions(schedule="constant", grow_threshold=1.0, prune_size=0.1, **changes)
+    step = Step(Renderer(device, DEGREE, 0.2), Model(device, given), 10.0, 0.01, options, [ImageTerm()])
     # a mean over the views that saw each: sums of two views
     step.statistics.grad_norm_sum.write(np.array(gradients, np.float32) * 2)
     step.statistics.seen_count.write(np.full(given.count, 2, np.uint32))
@@ -276,8 +275,9 @@ GRADIENTS = [1, 7, 3, 0.5, 9, 5, 8]
 SCALES = [SMALL, SMALL, LARGE, SMALL, LARGE, SMALL, SMALL]
 
 
-@pytest.mark.parametrize("limit, cloned, split", [
-    (0, 4, 2), (100, 4, 2), (13, 4, 2), (11, 3, 1), (9, 1, 1), (8, 0, 1), (7, 0, 0), (5, 0, 0)])
+@pytest.mark.parametrize(
+    "limit, cloned, split", [(0, 4, 2), (100, 4, 2), (13, 4, 2), (11, 3, 1), (9, 1, 1), (8, 0, 1), (7, 0, 0), (5, 0, 0)]
+)
 def test_the_limit_takes_the_highest_gradients(float_device, limit, cloned, split):
     event, model, _ = follow(float_device, GRADIENTS, SCALES, max_gaussians=limit)
     assert event == {"cloned": cloned, "split": split, "pruned": 0}

@@ -53,8 +53,7 @@ def test_cells_at_another_size():
     cells = np.zeros((10, 12), bool)
     cells[2:6, 4:8] = True
     finer = resampled(cells, 80, 96)
-    assert finer.shape == (20, 24) and np.array_equal(np.argwhere(finer)[[0, -1]],
-                                                      [[4, 8], [11, 15]])
+    assert finer.shape == (20, 24) and np.array_equal(np.argwhere(finer)[[0, -1]], [[4, 8], [11, 15]])
     assert np.array_equal(resampled(finer, 39, 47), cells)
 
 
@@ -71,12 +70,13 @@ def wall(float_device):
     rows = {name: device.upload(values) for name, values in rows.items()}
     views = []
     for index in range(VIEWS):
-        shift = np.array([0.4 * (index - VIEWS // 2), 0.1 * (-1)**index, 0])
+        shift = np.array([0.4 * (index - VIEWS // 2), 0.1 * (-1) ** index, 0])
         camera = renderer.pack(Camera(WIDTH, HEIGHT, (60.0, 60.0), (35.0, 25.0), np.eye(3), shift))
         image = renderer.render(rows, camera, WIDTH, HEIGHT, 0).image.download()
         noisy = image + rng.normal(0, 0.02, image.shape)
-        views.append(ObservedView(camera, np.round(noisy.clip(0, 1) * 255).astype(np.uint8),
-                          np.ones((HEIGHT, WIDTH), bool)))
+        views.append(
+            ObservedView(camera, np.round(noisy.clip(0, 1) * 255).astype(np.uint8), np.ones((HEIGHT, WIDTH), bool))
+        )
     return renderer, rows, views
 
 
@@ -102,7 +102,7 @@ def test_what_few_photos_show_is_not(wall):
     renderer, rows, views = wall
     views[2].photo[:, 12:28, 20:44] = np.array([250, 30, 200])[:, None, None]
     assert found(wall)[2].any()
-    assert not np.any(found((renderer, rows, views[:outlier_masks.MIN_OTHER_VIEWS])))
+    assert not np.any(found((renderer, rows, views[: outlier_masks.MIN_OTHER_VIEWS])))
 
 
 def test_what_no_photo_agrees_with_is_not(wall):
@@ -112,16 +112,14 @@ def test_what_no_photo_agrees_with_is_not(wall):
     centre = np.abs(rows["positions"].download()[:, :2]).max(axis=1) < 0.8
     wrong[centre] = 1.5
     assert centre.sum() > 20
-    assert not np.any(found((renderer, {**rows, "sh_constant": renderer.device.upload(wrong)},
-                             views)))
+    assert not np.any(found((renderer, {**rows, "sh_constant": renderer.device.upload(wrong)}, views)))
 
 
 def test_a_gaussian_that_is_not_finite_hides_nothing(wall):
     renderer, rows, views = wall
     poisoned = rows["sh_constant"].download()
     poisoned[len(poisoned) // 2] = np.nan
-    assert not np.any(found((renderer, {
-        **rows, "sh_constant": renderer.device.upload(poisoned)}, views)))
+    assert not np.any(found((renderer, {**rows, "sh_constant": renderer.device.upload(poisoned)}, views)))
 
 
 @pytest.mark.parametrize("budget", [None, 0], ids=["resident", "streaming"])
@@ -144,9 +142,9 @@ def test_photos_leave_out_cells_at_every_level(item_device, tmp_path, budget):
     photos.use(1.0)
     for index, (y, x) in enumerate([(8, 16), (24, 40)]):
         expected = np.full((40, 48), 255)
-        expected[:8 * index] = 0
+        expected[: 8 * index] = 0
         assert np.array_equal(photos.unweighed(index)[3], expected)
-        expected[y:y + 8, x:x + 8] = 0
+        expected[y : y + 8, x : x + 8] = 0
         assert np.array_equal(photos[index].download()[3], expected)
     photos.ignore([np.zeros((10, 12), bool)] * 2)
     assert photos[0].download()[3].all()

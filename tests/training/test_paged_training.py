@@ -38,37 +38,41 @@ class Run:
         self.device, self.batch = device, batch
         with monkeypatch.context() as patch:
             if room:
-                patch.setattr(Model, "_free_bytes", lambda model: (
-                    room * model.pages.store.page_bytes if model.pages else 0))
+                patch.setattr(
+                    Model, "_free_bytes", lambda model: room * model.pages.store.page_bytes if model.pages else 0
+                )
             self.model = Model(device, row_of_gaussians(count), engine)
         if room:  # in later rounds, too
             pages = self.model.pages
             pages._free = lambda: room * pages.store.page_bytes
         self.renderer = Renderer(device, DEGREE, 0.1)
-        self.step = Step(self.renderer, self.model, 1.0, 1e-3,
-                         TrainOptions(iterations=300, batch=batch), [ImageTerm()])
+        self.step = Step(self.renderer, self.model, 1.0, 1e-3, TrainOptions(iterations=300, batch=batch), [ImageTerm()])
         self.cameras = [self.renderer.pack(self.camera(view)) for view in range(VIEWS)]
         photos = np.random.default_rng(1).integers(0, 256, (VIEWS, 3, HEIGHT, WIDTH), np.uint8)
         self.photos, self.taken = [device.upload(photo) for photo in photos], 0
 
     @staticmethod
     def camera(view):
-        return Camera(WIDTH, HEIGHT, (30.0, 30.0), (20.0, 12.0), np.eye(3),
-                      np.array([-4 - 8.5 * view, 0.0, 5.0]))
+        return Camera(WIDTH, HEIGHT, (30.0, 30.0), (20.0, 12.0), np.eye(3), np.array([-4 - 8.5 * view, 0.0, 5.0]))
 
     def view_of(self, number):
         return 5 * number % VIEWS
 
     def take(self, steps, degree=DEGREE):
-        plan = Plan(1.0, degree, gathers=True, grows=False, resets_opacity=False,
-                    prunes_large=False, decay=0.5)
+        plan = Plan(1.0, degree, gathers=True, grows=False, resets_opacity=False, prunes_large=False, decay=0.5)
         for _ in range(steps):
             numbers = range(self.taken * self.batch + 1, (self.taken + 1) * self.batch + 1)
             self.taken += 1
-            self.step.run(self.taken, plan, [TrainingSample(
-                view, self.cameras[view], self.photos[view], number=number)
-                for number in numbers for view in [self.view_of(number)]],
-                self.upcoming)
+            self.step.run(
+                self.taken,
+                plan,
+                [
+                    TrainingSample(view, self.cameras[view], self.photos[view], number=number)
+                    for number in numbers
+                    for view in [self.view_of(number)]
+                ],
+                self.upcoming,
+            )
 
     def upcoming(self, number):
         return self.view_of(number), self.cameras[self.view_of(number)]
@@ -77,19 +81,21 @@ class Run:
         """All that a checkpoint has, and the rows after the last step; some rows are theirs."""
         model, some = self.step.model, np.arange(1, self.step.model.count, 7)
         m, v = model.adam.download()
-        for one, other in zip((model.stored(), m, v),
-                              (model.stored(some), *model.adam.download(some))):
+        for one, other in zip((model.stored(), m, v), (model.stored(some), *model.adam.download(some))):
             check_same({name: values[some] for name, values in one.items()}, other)
-        kinds = {"row": model.stored(), "current": model.download().rows,
-                 "m": m, "v": v, "lag": model.adam.lag(),
-                 "statistics": {"sum": self.step.statistics.grad_norm_sum.download()}}
-        return {f"{kind}.{name}": values for kind, found in kinds.items()
-                for name, values in found.items()}
+        kinds = {
+            "row": model.stored(),
+            "current": model.download().rows,
+            "m": m,
+            "v": v,
+            "lag": model.adam.lag(),
+            "statistics": {"sum": self.step.statistics.grad_norm_sum.download()},
+        }
+        return {f"{kind}.{name}": values for kind, found in kinds.items() for name, values in found.items()}
 
     def image(self, view):
         packed = self.renderer.pack(self.camera(view))
-        frame = CurrentRenderer(self.renderer).render(self.step.model, packed, WIDTH, HEIGHT,
-                                                      DEGREE)
+        frame = CurrentRenderer(self.renderer).render(self.step.model, packed, WIDTH, HEIGHT, DEGREE)
         return frame.image.download()
 
 
@@ -100,15 +106,17 @@ def check_same(one, other):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine, batch", [
-    ("device", 1), ("coded", 1), pytest.param("device", 2, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    "engine, batch", [("device", 1), ("coded", 1), pytest.param("device", 2, marks=pytest.mark.nightly)]
+)
 @pytest.mark.one_in(6)
 def test_bytes_do_not_depend_on_the_room(float_device, monkeypatch, engine, batch):
     """Over steps without harmonics, rounds of catching up, growth, and looks at the model."""
     results, images, made_anew = [], [], []
     leave = models.Pages.leave_for_more
-    monkeypatch.setattr(models.Pages, "leave_for_more", lambda pages: (
-        made_anew.append(leave(pages)), made_anew[-1])[1])
+    monkeypatch.setattr(
+        models.Pages, "leave_for_more", lambda pages: (made_anew.append(leave(pages)), made_anew[-1])[1]
+    )
     for room in (0, 3 if batch == 1 else 4):
         run = Run(float_device, monkeypatch, room, engine, batch)
         assert (run.model.pages is not None) == (room > 0)
@@ -117,12 +125,23 @@ def test_bytes_do_not_depend_on_the_room(float_device, monkeypatch, engine, batc
         images.append([run.image(view) for view in range(VIEWS)])
         middle = run.arrays()
         rng = np.random.default_rng(2)
-        source = np.concatenate([np.delete(np.arange(COUNT), slice(0, 2000, 3)),
-                                 rng.choice(COUNT, 900)]).astype(np.uint32)
+        source = np.concatenate([np.delete(np.arange(COUNT), slice(0, 2000, 3)), rng.choice(COUNT, 900)]).astype(
+            np.uint32
+        )
         kept = COUNT - 667
-        run.step.replace_rows(Growth(source, kept, 0, 0, 0, {
-            "positions": (kept, rng.normal(size=(900, 3)).astype(np.float32)),
-            "sh_rest": (kept, rng.normal(size=(900, 3, 3)).astype(np.float32))}))
+        run.step.replace_rows(
+            Growth(
+                source,
+                kept,
+                0,
+                0,
+                0,
+                {
+                    "positions": (kept, rng.normal(size=(900, 3)).astype(np.float32)),
+                    "sh_rest": (kept, rng.normal(size=(900, 3, 3)).astype(np.float32)),
+                },
+            )
+        )
         run.take(CATCH_UP_EVERY // 2 + 7)
         results.append({**run.arrays(), **{f"middle.{n}": each for n, each in middle.items()}})
         if room:
@@ -138,10 +157,17 @@ def test_a_page_that_nobody_asked_for_is_fetched_after_all(item_device, monkeypa
     whole, paged = Run(item_device, monkeypatch, 0), Run(item_device, monkeypatch, 3)
     look_ahead, room_made, repeated = paged.model.look_ahead, paged.step._make_room, []
     monkeypatch.setattr(
-        paged.model, "look_ahead", lambda number, steps, upcoming, numbers: look_ahead(
-            number, steps, upcoming if number % 4 else lambda _: (0, paged.cameras[0]), numbers))
-    monkeypatch.setattr(paged.step, "_make_room", lambda given, failed=1: (
-        repeated.append(given.sample.number), room_made(given, failed)))
+        paged.model,
+        "look_ahead",
+        lambda number, steps, upcoming, numbers: look_ahead(
+            number, steps, upcoming if number % 4 else lambda _: (0, paged.cameras[0]), numbers
+        ),
+    )
+    monkeypatch.setattr(
+        paged.step,
+        "_make_room",
+        lambda given, failed=1: (repeated.append(given.sample.number), room_made(given, failed)),
+    )
     for run in (whole, paged):
         run.take(40)
     check_same(whole.arrays(), paged.arrays())

@@ -77,8 +77,7 @@ def one_step(device, *parts):
     photo = np.random.default_rng(0).integers(0, 256, (3, height, width), np.uint8)
     renderer = Renderer(device, 1, case["near"])
     rows = {name: values.astype(np.float32) for name, values in case["rows"].items()}
-    step = Step(renderer, Model(device, Gaussians(rows, 1), "device"), 1.0, 1e-3,
-                TrainOptions(iterations=100), parts)
+    step = Step(renderer, Model(device, Gaussians(rows, 1), "device"), 1.0, 1e-3, TrainOptions(iterations=100), parts)
     return step, TrainingSample(0, renderer.pack(camera_of(case)), device.upload(photo))
 
 
@@ -185,8 +184,10 @@ def test_gradients_add_up(device, name):
 
 
 def test_parts_have_names_of_their_own_and_use_every_hook():
-    names, hooks = [part.name for part in PARTS], [
-        name for name, value in vars(Part).items() if callable(value) and name != "decide"]
+    names, hooks = (
+        [part.name for part in PARTS],
+        [name for name, value in vars(Part).items() if callable(value) and name != "decide"],
+    )
     assert len(set(names)) == len(names) and not any("." in name for name in names)
     parts = [*(part() for part in PARTS), FrozenRows(None), SampleWeights({})]
     assert [hook for hook in hooks if not overriding(parts, hook)] == []
@@ -195,7 +196,8 @@ def test_parts_have_names_of_their_own_and_use_every_hook():
 @pytest.mark.slow
 def test_the_example_learns_and_resumes_to_the_same_bytes(item_device, tmp_path):
     spec = importlib.util.spec_from_file_location(
-        "learned_scale", Path(__file__).parents[2] / "docs/examples/learned_scale.py")
+        "learned_scale", Path(__file__).parents[2] / "docs/examples/learned_scale.py"
+    )
     example = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(example)
     city, options = read_scene(CITY), options_of(**STILL, iterations=60, exposure="off")

@@ -11,8 +11,7 @@ import pytest
 from clsplat.training import photos as module
 from clsplat.training.photos import PhotoStore
 
-PHOTOS = [np.random.default_rng(i).integers(0, 256, (3 + (i == 2), 5 + i, 7), np.uint8)
-          for i in range(6)]
+PHOTOS = [np.random.default_rng(i).integers(0, 256, (3 + (i == 2), 5 + i, 7), np.uint8) for i in range(6)]
 SIZES = [photo.nbytes + 9 for photo in PHOTOS]  # of which masks may turn out to be none
 
 

@@ -73,9 +73,10 @@ def is_at(photos, views, level):
     size = WIDTH // level, HEIGHT // level
     assert {(v.camera.width, v.camera.height) for v in photos.views} == {size}
     assert photos.level == level
-    return all(np.array_equal(photos[i].download(),
-                              read_image(view.source, size).transpose(2, 0, 1))
-               for i, view in enumerate(views))
+    return all(
+        np.array_equal(photos[i].download(), read_image(view.source, size).transpose(2, 0, 1))
+        for i, view in enumerate(views)
+    )
 
 
 def test_an_epoch_visits_views_in_proportion():
@@ -112,7 +113,7 @@ def test_the_budget_is_that_of_the_images_trained_on(item_device, views):
 @pytest.mark.parametrize("budget", [None, 0])
 def test_a_damaged_photo_is_refused_at_the_start(item_device, views, levels, budget):
     data = views[3].source.read_bytes()
-    views[3].source.write_bytes(data[:len(data) * 2 // 3])
+    views[3].source.write_bytes(data[: len(data) * 2 // 3])
     refused(lambda: Photos(item_device, views, levels, budget), "3.png", "damaged or cut short")
     refused(lambda: list(decoded(views)), "3.png")
     refused(begin_checks(views).wait, "3.png")
@@ -145,8 +146,9 @@ def test_each_level_is_read_once_and_ahead_of_its_use(item_device, views, reads)
 
 
 @pytest.mark.parametrize("share, in_memory, kept", [(0.25, 4, 4), (0.25, 2, 2), (0, 2, 4)])
-def test_photos_that_were_begun_are_not_read_again(item_device, views, reads, monkeypatch, tmp_path,
-                                                   share, in_memory, kept):
+def test_photos_that_were_begun_are_not_read_again(
+    item_device, views, reads, monkeypatch, tmp_path, share, in_memory, kept
+):
     """Those that will stay on the device wait in memory, as many as may; others also in a file."""
     monkeypatch.setattr(module, "DEVICE_SHARE", share)
     monkeypatch.setattr(module, "IN_MEMORY_BYTES", in_memory * bytes_at(2) // 4)
@@ -180,8 +182,9 @@ def test_a_level_trains_while_the_next_is_read(item_device, views, monkeypatch):
     photos.close()
 
 
-@pytest.mark.parametrize("budget, resident", [
-    (bytes_at(2), True), (bytes_at(1) - 1, True), (bytes_at(2) - 1, False), (0, False)])
+@pytest.mark.parametrize(
+    "budget, resident", [(bytes_at(2), True), (bytes_at(1) - 1, True), (bytes_at(2) - 1, False), (0, False)]
+)
 def test_a_level_beyond_the_budget_is_streamed(item_device, views, reads, budget, resident):
     photos = Photos(item_device, views, (2.0, 1.0), budget)
     idle(photos)

@@ -9,8 +9,16 @@ from clsplat.training import capacity, growth, loop, photos
 from tests.city.test_block import block_of, trained_block
 from tests.data.tiny_training import LEVELLED, model_digest, records, trained
 
-STEPS = {"iterations": 40, "densify_from": 10, "densify_every": 10, "densify_until": 40,
-         "reset_every": 25, "sh_degree": 1, "sh_every": 15, "exposure": "on"}
+STEPS = {
+    "iterations": 40,
+    "densify_from": 10,
+    "densify_every": 10,
+    "densify_until": 40,
+    "reset_every": 25,
+    "sh_degree": 1,
+    "sh_every": 15,
+    "exposure": "on",
+}
 LEVELS = {**LEVELLED, "iterations": 60}
 TRAININGS = {
     "sig batch": {**LEVELS, "batch": 2},
@@ -31,6 +39,7 @@ def repeated(monkeypatch):
         if self.is_known(*size, with_depth=False):
             sizes.append(size)
         enlarge(self, rows, camera, *size)
+
     monkeypatch.setattr(capacity.FrameCapacity, "grow", noted)
     return sizes
 
@@ -49,6 +58,7 @@ def scarce(monkeypatch, repeated):
             if len(repeated) == lacked_before[0]:
                 patch.setattr(capacity, "MARGIN", 0.3)
             return choose(*arguments)
+
     monkeypatch.setattr(capacity, "MARGIN", 1.0)
     monkeypatch.setattr(capacity.FrameCapacity, "reset", forgotten)
     monkeypatch.setattr(capacity.FrameCapacity, "room", room)
@@ -57,8 +67,7 @@ def scarce(monkeypatch, repeated):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TRAININGS)
 @pytest.mark.one_in(5)
-def test_a_training_that_lacks_room_ends_in_the_same_bytes(item_device, city, tmp_path, monkeypatch,
-                                                           repeated, name):
+def test_a_training_that_lacks_room_ends_in_the_same_bytes(item_device, city, tmp_path, monkeypatch, repeated, name):
     same_bytes(item_device, city, tmp_path, monkeypatch, repeated, name)
 
 
@@ -80,8 +89,10 @@ def same_bytes(device, city, tmp_path, monkeypatch, repeated, name):
         else:
             scarce(monkeypatch, repeated)
         run = train(tmp_path / margin, scene, device, **TRAININGS[name])
-        steps = [(record["iteration"], record["loss"], record["pixel_pairs"],
-                  record["skipped_rows"]) for record in records(run, "step")]
+        steps = [
+            (record["iteration"], record["loss"], record["pixel_pairs"], record["skipped_rows"])
+            for record in records(run, "step")
+        ]
         grown = [(record["gaussians"], record["pixel_pairs"]) for record in records(run, "grow")]
         ends.append((model_digest(run), steps, grown))
         assert len(repeated) == 0 if margin == "ample" else len(repeated) > 2
@@ -100,8 +111,7 @@ def test_steps_that_are_pending_keep_few_photos(item_device, city, tmp_path, mon
 
     monkeypatch.setattr(photos, "DEVICE_SHARE", 0.0)
     monkeypatch.setattr(photos.Photos, "__getitem__", noted)
-    trained(tmp_path, city, item_device, **{**STEPS, "schedule": "constant", "iterations": 60,
-                                            "densify_from": 1000})
+    trained(tmp_path, city, item_device, **{**STEPS, "schedule": "constant", "iterations": 60, "densify_from": 1000})
     assert len(alive) > 50 and max(alive) < 12
 
 

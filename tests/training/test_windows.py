@@ -55,21 +55,21 @@ def test_a_render_of_a_part_is_part_of_the_render(device, name):
     case = cases.gaussians(name)
     width, height = chain.size_of(case)
     left, top, right, bottom = window = width // 2, height // 3, width - 3, height - 1
-    renderer, rows, camera = chain.renderer_of(device, case), chain.upload_rows(
-        device, case["rows"]), chain.camera_of(case)
+    renderer, rows, camera = (
+        chain.renderer_of(device, case),
+        chain.upload_rows(device, case["rows"]),
+        chain.camera_of(case),
+    )
 
     def drawn(camera):
-        frame = renderer.render(rows, renderer.pack(camera), camera.width, camera.height,
-                                case["degree"])
+        frame = renderer.render(rows, renderer.pack(camera), camera.width, camera.height, case["degree"])
         return frame.image.download()
 
     expected = drawn(camera)[:, top:bottom, left:right]
     part = camera.cropped(*window)
     assert abs(drawn(part) - expected).max() < 2e-6 * (1 + abs(expected).max())
-    slabs = SlabRenderer(device, chain.stored_degree(case), case["near"],
-                         background=case["background"])
-    frame = slabs.render(Parts.of(case["rows"], 16), slabs.pack(part), part.width, part.height,
-                         case["degree"])
+    slabs = SlabRenderer(device, chain.stored_degree(case), case["near"], background=case["background"])
+    frame = slabs.render(Parts.of(case["rows"], 16), slabs.pack(part), part.width, part.height, case["degree"])
     assert abs(frame.image.download() - expected).max() < 2e-6 * (1 + abs(expected).max())
     if name == "giants":  # the case would notice
         assert abs(drawn(replace(part, whole=None)) - expected).max() > 2e-5
@@ -129,9 +129,17 @@ def block(scene, gaussians, tmp_path):
     city.path.mkdir(parents=True, exist_ok=True)
     city.write({"fingerprint": fingerprint(scene)})
     city.write_partition({"method": "by hand"})
-    return city.write_block(0, scene, [3, 8], region_of(scene, 0.3, 0.1),
-                            {scene.views[3].name: (16, 32, 128, 160)}, gaussians, None, {},
-                            city.identity())
+    return city.write_block(
+        0,
+        scene,
+        [3, 8],
+        region_of(scene, 0.3, 0.1),
+        {scene.views[3].name: (16, 32, 128, 160)},
+        gaussians,
+        None,
+        {},
+        city.identity(),
+    )
 
 
 def test_a_block_is_read_with_its_windows(block, scene):

@@ -47,6 +47,7 @@ from tools.bench.workloads import city as made_city
 DEGREE = 3
 RATES = {field.name: field.rate for field in LEARNED}
 
+
 def adam(city: CityFrame) -> Cases:
     """A step, and how rows that a view sees catch up with 20 steps that they missed."""
     gradients, counts = city.gradients(), new_counts(city.device)
@@ -57,11 +58,9 @@ def adam(city: CityFrame) -> Cases:
 
     def catch_up() -> None:
         lazy.steps, lazy.is_current = lazy.steps + 20, False
-        lazy.catch_up_seen(city.rows, lazy.numbers(lazy.steps + 1, RATES), 3, None, city.camera,
-                           counts)
+        lazy.catch_up_seen(city.rows, lazy.numbers(lazy.steps + 1, RATES), 3, None, city.camera, counts)
 
-    return {"step": partial(engine.apply, city.rows, gradients, engine.numbers(1, RATES), DEGREE),
-            "catch up": catch_up}
+    return {"step": partial(engine.apply, city.rows, gradients, engine.numbers(1, RATES), DEGREE), "catch up": catch_up}
 
 
 def batch(city: CityFrame) -> Cases:
@@ -80,8 +79,11 @@ def batch(city: CityFrame) -> Cases:
 def bin(city: CityFrame) -> Cases:
     """From splats to the pairs of every tile, in depth order."""
     frame = city.frame
-    return {"splats to pairs": partial(bin_splats, city.device, frame.splats, frame.counts,
-                                       frame.order, *frame.size, room=city.pairs.count)}
+    return {
+        "splats to pairs": partial(
+            bin_splats, city.device, frame.splats, frame.counts, frame.order, *frame.size, room=city.pairs.count
+        )
+    }
 
 
 def blend(city: CityFrame) -> Cases:
@@ -90,13 +92,24 @@ def blend(city: CityFrame) -> Cases:
     cases: dict[str, Callable[[], object]] = {}
     for depth in (False, True):
         defines, name = blending.blend_defines(depth), " with depth" * depth
-        forward = partial(blending.blend, device, frame.splats, city.pairs, *frame.size,
-                          background, defines)
+        forward = partial(blending.blend, device, frame.splats, city.pairs, *frame.size, background, defines)
         blended = forward()
         # any gradients will do: their values do not change the work
-        cases |= {"forward" + name: forward, "adjoint" + name: partial(
-            blending.blend_adjoint, device, frame.splats, city.pairs, blended, background,
-            blended.image, blended.depth_channel, blended.depth_channel, defines)}
+        cases |= {
+            "forward" + name: forward,
+            "adjoint" + name: partial(
+                blending.blend_adjoint,
+                device,
+                frame.splats,
+                city.pairs,
+                blended,
+                background,
+                blended.image,
+                blended.depth_channel,
+                blended.depth_channel,
+                defines,
+            ),
+        }
     return cases
 
 
@@ -121,8 +134,9 @@ def cull(city: CityFrame) -> Cases:
 def depth_map(city: CityFrame) -> Cases:
     """A rendered depth against a depth map."""
     depth, known = (city.device.upload(125 + 3 * city.plane(seed)) for seed in (0, 1))
-    return {"value and gradient": partial(compare_depth, city.device, depth,
-                                          city.frame.blended.transmittance, known, 1.0)}
+    return {
+        "value and gradient": partial(compare_depth, city.device, depth, city.frame.blended.transmittance, known, 1.0)
+    }
 
 
 def exposure(city: CityFrame) -> Cases:
@@ -134,14 +148,19 @@ def exposure(city: CityFrame) -> Cases:
     def both(exposures: Exposures) -> None:
         exposures.step(0, exposures.adjoint(0, packed, city.frame.image, grad)[1], counts)
 
-    return {"adjoint and step": partial(both, Exposures(city.device, 100)),
-            "with vignetting": partial(both, Exposures(city.device, 100, lenses=lenses))}
+    return {
+        "adjoint and step": partial(both, Exposures(city.device, 100)),
+        "with vignetting": partial(both, Exposures(city.device, 100, lenses=lenses)),
+    }
 
 
 def frequency(city: CityFrame) -> Cases:
     """The nine scene frequencies of the city, including their download."""
-    return {"nine values": partial(scene_frequency, city.device, {
-        name: city.rows[name] for name in ("log_scales", "opacity_logits")})}
+    return {
+        "nine values": partial(
+            scene_frequency, city.device, {name: city.rows[name] for name in ("log_scales", "opacity_logits")}
+        )
+    }
 
 
 def choose(city: CityFrame) -> Cases:
@@ -152,10 +171,14 @@ def choose(city: CityFrame) -> Cases:
     middle, half = gaussians.positions.mean(axis=0), np.ptp(gaussians.positions, axis=0) / 8
     region = Region(Space(np.eye(3), middle, half), np.full(3, -1.0), np.ones(3), 0.1)
     outside = city.device.zeros(city.count, np.uint32)
-    return {"outside": partial(choosing.note_outside, city.device, scene, region,
-                               city.rows["positions"], city.rows["log_scales"], outside),
-            "sizes, from the host": partial(choosing.find_sizes, city.device, gaussians.positions,
-                                            gaussians.log_scales, scene, region, views)}
+    return {
+        "outside": partial(
+            choosing.note_outside, city.device, scene, region, city.rows["positions"], city.rows["log_scales"], outside
+        ),
+        "sizes, from the host": partial(
+            choosing.find_sizes, city.device, gaussians.positions, gaussians.log_scales, scene, region, views
+        ),
+    }
 
 
 def gather(city: CityFrame) -> Cases:
@@ -168,8 +191,7 @@ def gather(city: CityFrame) -> Cases:
 def image_loss(city: CityFrame) -> Cases:
     """L1 and D-SSIM with the gradient."""
     photo = city.device.upload((255 * city.plane(0, 3)).astype(np.uint8))
-    return {"value and gradient": partial(loss_and_gradient, city.device, city.frame.image, photo,
-                                          0.2)}
+    return {"value and gradient": partial(loss_and_gradient, city.device, city.frame.image, photo, 0.2)}
 
 
 def noise(city: CityFrame) -> Cases:
@@ -215,12 +237,21 @@ def project(city: CityFrame) -> Cases:
     """Projection and its adjoint, all spherical harmonics active."""
     device, frame = city.device, city.frame
     splat_grads = blending.blend_adjoint(
-        device, frame.splats, city.pairs, frame.blended, city.renderer.background, frame.image,
-        None, None, blending.blend_defines(with_depth=False))
+        device,
+        frame.splats,
+        city.pairs,
+        frame.blended,
+        city.renderer.background,
+        frame.image,
+        None,
+        None,
+        blending.blend_defines(with_depth=False),
+    )
     inputs = device, city.rows, frame.visible, frame.counts, city.camera, 3, DEFINES
-    return {"project": partial(projection.project, *inputs),
-            "adjoint": partial(projection.project_adjoint, *inputs, splat_grads,
-                               city.renderer.skipped)}
+    return {
+        "project": partial(projection.project, *inputs),
+        "adjoint": partial(projection.project_adjoint, *inputs, splat_grads, city.renderer.skipped),
+    }
 
 
 def reduce(city: CityFrame) -> Cases:
@@ -240,25 +271,51 @@ def ray_depth(city: CityFrame) -> Cases:
     frame, count = city.frame, len(city.frame.visible)
     numbers = np.random.default_rng(0).integers(1, count + 1, frame.image.shape[1:])
     depth = city.device.upload(numbers.astype(np.float64))
-    return {"numbers": partial(along_rays.number_splats, city.device, frame.splats, DEFINES),
-            "depths": partial(along_rays.ray_depth, city.device, city.rows, frame.visible,
-                              city.camera, depth, DEFINES)}
+    return {
+        "numbers": partial(along_rays.number_splats, city.device, frame.splats, DEFINES),
+        "depths": partial(along_rays.ray_depth, city.device, city.rows, frame.visible, city.camera, depth, DEFINES),
+    }
 
 
 def sort(city: CityFrame) -> Cases:
     """The stable sort of a frame's visible gaussians by depth, which the item form of binning
     needs."""
     frame = city.frame
-    _, depths = projection.project(city.device, city.rows, frame.visible, frame.counts,
-                                   city.camera, 0, DEFINES)
+    _, depths = projection.project(city.device, city.rows, frame.visible, frame.counts, city.camera, 0, DEFINES)
     return {"depths": partial(stable_sort, city.device, depths, frame.counts)}
 
 
 FAMILIES: dict[str, Callable[[CityFrame], Cases]] = {
-    function.__name__: function for function in (
-        adam, batch, bin, blend, choose, compact, contribution, cull, depth_map, exposure,
-        frequency, gather, image_loss, match, noise, pages, pose, project, ray_depth, reduce,
-        regularise, reproject, sift, signed_distance, sort, sweep)}
+    function.__name__: function
+    for function in (
+        adam,
+        batch,
+        bin,
+        blend,
+        choose,
+        compact,
+        contribution,
+        cull,
+        depth_map,
+        exposure,
+        frequency,
+        gather,
+        image_loss,
+        match,
+        noise,
+        pages,
+        pose,
+        project,
+        ray_depth,
+        reduce,
+        regularise,
+        reproject,
+        sift,
+        signed_distance,
+        sort,
+        sweep,
+    )
+}
 
 
 def time_family(family: str, bench: Bench) -> None:

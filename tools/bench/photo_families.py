@@ -25,15 +25,25 @@ FEATURES = SfmOptions.max_features
 def reproject(city: CityFrame) -> Cases:
     """Reprojection of a rendered depth into a source view."""
     device, size = city.device, city.frame.size
-    photo, neighbour = (device.upload((255 * city.plane(seed, 3)).astype(np.uint8))
-                        for seed in (0, 1))
+    photo, neighbour = (device.upload((255 * city.plane(seed, 3)).astype(np.uint8)) for seed in (0, 1))
     # about as far as the middle of the city
     depth = device.upload(94 + 2 * city.plane())
     transmittance = device.upload(np.full(depth.shape, 0.25))
     geometries = pack_pairs(device, [(ring_camera(0, size), ring_camera(0.1, size))])
-    return {"value and gradient": partial(
-        reproject_depth, device, depth, transmittance, photo, neighbour, geometries,
-        device.upload(np.eye(3, 4).reshape(1, 12)), 0, 1.0)}
+    return {
+        "value and gradient": partial(
+            reproject_depth,
+            device,
+            depth,
+            transmittance,
+            photo,
+            neighbour,
+            geometries,
+            device.upload(np.eye(3, 4).reshape(1, 12)),
+            0,
+            1.0,
+        )
+    }
 
 
 def signed_distance(city: CityFrame) -> Cases:
@@ -41,9 +51,18 @@ def signed_distance(city: CityFrame) -> Cases:
     camera, plane = ring_camera(0, city.frame.size), city.device.upload(125 + city.plane())
     bricks = np.array(list(np.ndindex(6, 6, 2))) - (3, 3, 0)
     volume = Volume(city.device, bricks, 0.15, 0.6)
-    return {f"{len(bricks)} bricks": partial(
-        volume.add, np.arange(len(bricks)), camera, 0.01, plane, plane,
-        city.frame.blended.transmittance, city.frame.image)}
+    return {
+        f"{len(bricks)} bricks": partial(
+            volume.add,
+            np.arange(len(bricks)),
+            camera,
+            0.01,
+            plane,
+            plane,
+            city.frame.blended.transmittance,
+            city.frame.image,
+        )
+    }
 
 
 def sweep(city: CityFrame) -> Cases:
@@ -52,16 +71,19 @@ def sweep(city: CityFrame) -> Cases:
     width, height = (side // 4 for side in city.frame.size)
     sources = dense_points.SOURCES
     photos = list(np.random.default_rng(0).uniform(0, 1, (1 + sources, height, width)))
-    cameras = [Camera(width, height, (width, width), (width / 2, height / 2), np.eye(3),
-                      np.array([-0.1 * number, 0, 0])) for number in range(len(photos))]
+    cameras = [
+        Camera(width, height, (width, width), (width / 2, height / 2), np.eye(3), np.array([-0.1 * number, 0, 0]))
+        for number in range(len(photos))
+    ]
     depths = [np.full((height, width), 0.5) for _ in photos]
-    by_photos, by_depths = (sweeping.Compared.of(
-        *sweeping.device_images(city.device, images), cameras, 0, range(1, len(photos)))
-        for images in (photos, depths))
-    return {f"{sources} sources": partial(sweeping.sweep, by_photos, (0.1, 1.0),
-                                          dense_points.PLANES),
-            f"confirm, {sources} sources": partial(sweeping.confirm, by_depths,
-                                                   dense_points.SAME_DEPTH)}
+    by_photos, by_depths = (
+        sweeping.Compared.of(*sweeping.device_images(city.device, images), cameras, 0, range(1, len(photos)))
+        for images in (photos, depths)
+    )
+    return {
+        f"{sources} sources": partial(sweeping.sweep, by_photos, (0.1, 1.0), dense_points.PLANES),
+        f"confirm, {sources} sources": partial(sweeping.confirm, by_depths, dense_points.SAME_DEPTH),
+    }
 
 
 def sift(city: CityFrame) -> Cases:
@@ -75,10 +97,11 @@ def sift(city: CityFrame) -> Cases:
 def match(city: CityFrame) -> Cases:
     """A pair of photos: the largest features all with all, and all along epipolar lines."""
     rng = np.random.default_rng(0)
-    described = matching.Described.of(
-        city.device, list(rng.integers(0, 60, (2, FEATURES, DESCRIPTOR_SIZE), np.uint8)))
+    described = matching.Described.of(city.device, list(rng.integers(0, 60, (2, FEATURES, DESCRIPTOR_SIZE), np.uint8)))
     points = city.device.upload(rng.uniform(-0.7, 0.7, (2, 2, FEATURES)))
     pairs, rows = np.array([[0, 1]]), [0, 0, 0, 0, 0, -1, 0, 1, 0, 0, 0.003]
     geometry = np.array([[rows], [rows]], np.float64)
-    return {f"all of {two_views.FEW}": partial(matching.nearest, described, pairs, two_views.FEW),
-            f"{FEATURES} along lines": partial(matching.follow, described, points, pairs, geometry)}
+    return {
+        f"all of {two_views.FEW}": partial(matching.nearest, described, pairs, two_views.FEW),
+        f"{FEATURES} along lines": partial(matching.follow, described, points, pairs, geometry),
+    }

@@ -24,8 +24,9 @@ def time_frames(bench: Bench) -> None:
         gaussians, cameras = city(count)
         peer = Clsplat(bench.device, gaussians, cameras)
         for variant, function in (("forward", peer.forward), ("forward + adjoint", peer.both)):
-            bench.report("render", variant, function, {
-                "gaussians": count, "width": peer.width, "height": peer.height}, peer)
+            bench.report(
+                "render", variant, function, {"gaussians": count, "width": peer.width, "height": peer.height}, peer
+            )
 
 
 class Clsplat:
@@ -40,14 +41,11 @@ class Clsplat:
         self.rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
         self.width, self.height = cameras[0].width, cameras[0].height
         self.cameras = [self.renderer.pack(camera) for camera in cameras]
-        measured = [self.renderer.measure(self.rows, camera, self.width, self.height)
-                    for camera in self.cameras]
-        self.room = Room(max(visible for visible, _ in measured),
-                         max(int(tiles.sum()) for _, tiles in measured))
+        measured = [self.renderer.measure(self.rows, camera, self.width, self.height) for camera in self.cameras]
+        self.room = Room(max(visible for visible, _ in measured), max(int(tiles.sum()) for _, tiles in measured))
         self.counts = device.zeros(FRAME_COUNTS, np.uint32)
         # of the gradient's size: its values do not change the work
-        self.grad = device.upload(np.full((3, self.height, self.width),
-                                          1 / (3 * self.height * self.width)))
+        self.grad = device.upload(np.full((3, self.height, self.width), 1 / (3 * self.height * self.width)))
         self._graphs: dict[bool, Graph] = {}
 
     def forward(self) -> None:
@@ -65,8 +63,9 @@ class Clsplat:
             graph.replay(camera=camera)
             return
         with self.device.record(camera=camera) as graph:
-            frame = self.renderer.render(self.rows, camera, self.width, self.height, 3,
-                                         room=self.room, counts=self.counts)
+            frame = self.renderer.render(
+                self.rows, camera, self.width, self.height, 3, room=self.room, counts=self.counts
+            )
             if back:
                 self.renderer.adjoint(self.rows, frame, self.grad)
         self._graphs[back] = graph

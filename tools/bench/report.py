@@ -30,16 +30,30 @@ class Bench:
     repeats: int
     as_json: bool
 
-    def report(self, family: str, variant: str, function: Callable[[], object],
-               size: Mapping[str, Any], task: Any = None) -> None:
+    def report(
+        self, family: str, variant: str, function: Callable[[], object], size: Mapping[str, Any], task: Any = None
+    ) -> None:
         """Time a function of the device, or of a task that finishes, and print the result."""
         times = spread(in_turn([(task or self.device, function)], self.repeats)[0])
         if self.as_json:
-            print(json.dumps({
-                "family": family, "variant": variant, "form": self.device.form,
-                "device": self.device.name, "driver": self.device.handle.driver_version,
-                "size": size, **times}), flush=True)
+            print(
+                json.dumps(
+                    {
+                        "family": family,
+                        "variant": variant,
+                        "form": self.device.form,
+                        "device": self.device.name,
+                        "driver": self.device.handle.driver_version,
+                        "size": size,
+                        **times,
+                    }
+                ),
+                flush=True,
+            )
             return
         low, high = times["quartiles_ms"]
-        print(f"{family:12} {variant:24} {times['median_ms']:9.3f} ms  ({low:.3f} to {high:.3f})  "
-              + ", ".join(f"{what} {count:,}" for what, count in size.items()), flush=True)
+        print(
+            f"{family:12} {variant:24} {times['median_ms']:9.3f} ms  ({low:.3f} to {high:.3f})  "
+            + ", ".join(f"{what} {count:,}" for what, count in size.items()),
+            flush=True,
+        )

@@ -25,5 +25,8 @@ def in_turn(tasks, repeats, warm_up=3):
 def spread(times):
     """The fields median_ms, quartiles_ms (lower, upper) and repeats of a record."""
     low, median, high = np.percentile(times, (25, 50, 75))
-    return {"median_ms": round(float(median), 4),
-            "quartiles_ms": [round(float(low), 4), round(float(high), 4)], "repeats": len(times)}
+    return {
+        "median_ms": round(float(median), 4),
+        "quartiles_ms": [round(float(low), 4), round(float(high), 4)],
+        "repeats": len(times),
+    }

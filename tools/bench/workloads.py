@@ -17,8 +17,9 @@ def city_size(count: int) -> tuple[int, int]:
     return (1920, 1080) if count >= 1_000_000 else (1024, 768)
 
 
-def city(count: int, size: tuple[int, int] | None = None, views: int = 8, side: float = 200.0,
-         seed: int = 0) -> tuple[Gaussians, list[Camera]]:
+def city(
+    count: int, size: tuple[int, int] | None = None, views: int = 8, side: float = 200.0, seed: int = 0
+) -> tuple[Gaussians, list[Camera]]:
     """Gaussians of degree 3 on the faces of 220 boxes and on the ground, and a ring of oblique
     cameras.
 
@@ -42,10 +43,10 @@ def city(count: int, size: tuple[int, int] | None = None, views: int = 8, side: 
     across = np.where(face == 0, 1, np.where(face == 1, -1, uv[:, 0]))
     along = np.where(face == 2, 1, np.where(face == 3, -1, uv[:, 1]))
     up = np.where(face == 4, height[box], rng.uniform(0, 1, on_boxes) * height[box])
-    walls = np.stack([centre[box, 0] + across * half[box, 0],
-                      centre[box, 1] + along * half[box, 1], up], 1)
-    ground = np.stack([*rng.uniform(-side / 2, side / 2, (2, count - on_boxes)),
-                       rng.normal(0, 0.15, count - on_boxes)], 1)
+    walls = np.stack([centre[box, 0] + across * half[box, 0], centre[box, 1] + along * half[box, 1], up], 1)
+    ground = np.stack(
+        [*rng.uniform(-side / 2, side / 2, (2, count - on_boxes)), rng.normal(0, 0.15, count - on_boxes)], 1
+    )
     spacing = np.sqrt(side * side * 2.2 / count)
     scales = spacing * np.exp(rng.normal(-0.4, 0.7, (count, 3)))
     scales[:, 2] *= 0.3
@@ -53,9 +54,14 @@ def city(count: int, size: tuple[int, int] | None = None, views: int = 8, side: 
     opacity = rng.beta(1.2, 1.6, count)
     sh = rng.normal(0, 0.05, (count, 16, 3))
     sh[:, 0] = rng.uniform(-1.2, 1.2, (count, 3))
-    rows = {"positions": np.concatenate([walls, ground]), "sh_constant": sh[:, 0],
-            "sh_rest": sh[:, 1:], "opacity_logits": np.log(opacity / (1 - opacity)),
-            "log_scales": np.log(scales), "quaternions": quaternions}
+    rows = {
+        "positions": np.concatenate([walls, ground]),
+        "sh_constant": sh[:, 0],
+        "sh_rest": sh[:, 1:],
+        "opacity_logits": np.log(opacity / (1 - opacity)),
+        "log_scales": np.log(scales),
+        "quaternions": quaternions,
+    }
     rows = {name: np.ascontiguousarray(values, np.float32) for name, values in rows.items()}
     return Gaussians(rows, 3), [ring_camera(2 * np.pi * i / views, size) for i in range(views)]
 
@@ -78,13 +84,17 @@ class CityFrame:
         self.renderer = Renderer(device, gaussians.sh_degree, near=0.01)
         self.camera = self.renderer.pack(camera)
         self.rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
-        self.frame = self.renderer.render(self.rows, self.camera, camera.width, camera.height,
-                                          sh_degree=3)
+        self.frame = self.renderer.render(self.rows, self.camera, camera.width, camera.height, sh_degree=3)
         pairs = self.frame.pairs
         assert pairs is not None  # the frame fits one band
         self.pairs, self.seen = pairs, len(self.frame.visible)
-        self.size = {"gaussians": count, "width": camera.width, "height": camera.height,
-                     "visible": self.seen, "pairs": pairs.count}
+        self.size = {
+            "gaussians": count,
+            "width": camera.width,
+            "height": camera.height,
+            "visible": self.seen,
+            "pairs": pairs.count,
+        }
 
     def plane(self, seed: int = 0, channels: int = 0) -> NDArray[np.float64]:
         """Random numbers from 0 to 1 for each pixel, or for each of some channels of them."""

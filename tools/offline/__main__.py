@@ -48,13 +48,20 @@ Found = dict[tuple[str, str], Usage]  # (kernel, target) -> the worst of its bui
 
 def compile_all(targets: Iterable[Target], programs: Sequence[Program]) -> tuple[Found, list[str]]:
     """The worst usage of each kernel, and a line for each program that does not compile."""
+
     def one(job: tuple[Target, Program]) -> tuple[Target, list[Usage], str]:
         target, program = job
         more = FEATURES * ("WITH_FEATURES" in dict(program.choices))
         with TemporaryDirectory() as folder:
             try:
-                return target, [dataclasses.replace(usage, kernel=usage.kernel + more)
-                                for usage in compiled(target, program, Path(folder))], ""
+                return (
+                    target,
+                    [
+                        dataclasses.replace(usage, kernel=usage.kernel + more)
+                        for usage in compiled(target, program, Path(folder))
+                    ],
+                    "",
+                )
             except InputError as error:
                 choices = " ".join(f"{name}={value}" for name, value in program.choices)
                 return target, [], f"{target.name} {program.file} {choices}: {error}"
@@ -72,26 +79,35 @@ def compile_all(targets: Iterable[Target], programs: Sequence[Program]) -> tuple
 def worst(usages: Sequence[Usage]) -> Usage:
     """The worst of each number of several builds of a kernel."""
     rows = [dataclasses.asdict(usage) for usage in usages]
-    return Usage(**{name: (min if name == "waves" else max)(row[name] for row in rows)
-                    for name in rows[0]})
+    return Usage(**{name: (min if name == "waves" else max)(row[name] for row in rows) for name in rows[0]})
 
 
 def tables(found: Found) -> list[Table]:
     """Kernels in rows and targets in columns."""
+
     def of(usage: Usage) -> tuple[str, str]:
         spills = f" ({usage.vector_spills})" * bool(usage.vector_spills)
         memory = usage.scalar_spills, usage.scratch, usage.local
-        return (f"{usage.vector} / {usage.waves}{spills}",
-                " / ".join(map(str, memory)) if any(memory) else "")
+        return (f"{usage.vector} / {usage.waves}{spills}", " / ".join(map(str, memory)) if any(memory) else "")
 
     targets = [name for name in TARGETS if any(target == name for _, target in found)]
     kernels = sorted({kernel for kernel, _ in found})
     texts = {key: of(usage) for key, usage in found.items()}
-    return [Table(title, ("kernel", *targets), [
-        row for kernel in kernels
-        for row in [(kernel, *(texts.get((kernel, target), ("", ""))[number]
-                               for target in targets))] if any(row[1:])], (), (NOTES[title],))
-        for number, title in enumerate((REGISTERS, MEMORY))]
+    return [
+        Table(
+            title,
+            ("kernel", *targets),
+            [
+                row
+                for kernel in kernels
+                for row in [(kernel, *(texts.get((kernel, target), ("", ""))[number] for target in targets))]
+                if any(row[1:])
+            ],
+            (),
+            (NOTES[title],),
+        )
+        for number, title in enumerate((REGISTERS, MEMORY))
+    ]
 
 
 def stored_limits(lines: Iterable[Mapping[str, str]]) -> dict[tuple[str, str], tuple[int, int]]:
@@ -100,9 +116,11 @@ def stored_limits(lines: Iterable[Mapping[str, str]]) -> dict[tuple[str, str], t
     for line in lines:
         title = line.get("table", title)
         if title == REGISTERS and "kernel" in line:
-            limits |= {(line["kernel"], target): (int(match[1]), int(match[2] or 0))
-                       for target, cell in line.items()
-                       if (match := re.fullmatch(r"\d+ / (\d+)(?: \((\d+)\))?", cell))}
+            limits |= {
+                (line["kernel"], target): (int(match[1]), int(match[2] or 0))
+                for target, cell in line.items()
+                if (match := re.fullmatch(r"\d+ / (\d+)(?: \((\d+)\))?", cell))
+            }
     return limits
 
 
@@ -122,8 +140,9 @@ def complaints(found: Found, stored: Mapping[tuple[str, str], tuple[int, int]]) 
 
 def main(argv: Sequence[str]) -> None:
     """Compile, and print, keep or check what was found."""
-    parser = argparse.ArgumentParser(prog="python -m tools.offline", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.offline", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("targets", nargs="*", metavar="TARGET")
     parser.add_argument("--check", action="store_true")
     parser.add_argument("--keep", action="store_true")
@@ -136,8 +155,7 @@ def main(argv: Sequence[str]) -> None:
     if lacking := missing(targets):
         raise InputError("; ".join(lacking))
     programs = gather()
-    errors = [f"{kernel}: no work of tools/offline/work.py launches it"
-              for kernel in unbuilt(programs)]
+    errors = [f"{kernel}: no work of tools/offline/work.py launches it" for kernel in unbuilt(programs)]
     found, failed = compile_all(targets, programs)
     errors += failed
     if options.check:
@@ -147,8 +165,10 @@ def main(argv: Sequence[str]) -> None:
     elif not options.keep:
         for (_, target), usage in sorted(found.items()):
             print(target, usage)
-    print(f"{len(programs)} programs, {len({kernel for kernel, _ in found})} kernels, "
-          f"{len(targets)} targets, {len(errors)} errors")
+    print(
+        f"{len(programs)} programs, {len({kernel for kernel, _ in found})} kernels, "
+        f"{len(targets)} targets, {len(errors)} errors"
+    )
     print("\n".join(errors), file=sys.stderr)
     sys.exit(bool(errors))
 

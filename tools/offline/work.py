@@ -29,10 +29,15 @@ SCENE = Path(__file__).resolve().parents[2] / "data_samples" / "city"
 # of the benchmarks' city: its size does not change what is built, but for what memory holds
 GAUSSIANS, FEW, MANY, SMALL_BUFFER = 20_000, 2000, 60_000, 1 << 19
 # a short training with growth and resets, and one with levels, by keys of the file of --config
-EVENTFUL = {"densify_from": 5, "densify_every": 10, "densify_until": 40, "reset_every": 20,
-            "grow_threshold": 5e-4, "sh_every": 12}
-LEVELLED = {"rounds": 2, "densify_from": 0, "densify_every": 5, "convergence_rate": 0.02,
-            "sphere_reach": 3.0}
+EVENTFUL = {
+    "densify_from": 5,
+    "densify_every": 10,
+    "densify_until": 40,
+    "reset_every": 20,
+    "grow_threshold": 5e-4,
+    "sh_every": 12,
+}
+LEVELLED = {"rounds": 2, "densify_from": 0, "densify_every": 5, "convergence_rate": 0.02, "sphere_reach": 3.0}
 TRAIN = "train SCENE -n 60 -r 8 -q -o"
 # a command, and keys of the file of --config. FOLDER is a new one, with the folders that
 # `make_inputs` makes
@@ -44,20 +49,21 @@ WORK: tuple[tuple[str, Mapping[str, Any]], ...] = (
     ("mesh FOLDER/sig -o FOLDER/mesh.ply", {}),
     ("export FOLDER/sig -o FOLDER/page.html", {}),
     ("film FOLDER/sig -o FOLDER/film --seconds 0.1 --fps 30 --size 96x64", {}),
-    (f"{TRAIN} FOLDER/constant --schedule constant --exposure on --vignetting on --poses on"
-     " --antialiased", EVENTFUL),
-    (f"{TRAIN} FOLDER/depth --schedule constant --depth FOLDER/depths --poses on --robust on"
-     " --sh-degree 1", EVENTFUL),
+    (f"{TRAIN} FOLDER/constant --schedule constant --exposure on --vignetting on --poses on --antialiased", EVENTFUL),
+    (f"{TRAIN} FOLDER/depth --schedule constant --depth FOLDER/depths --poses on --robust on --sh-degree 1", EVENTFUL),
     ("train FOLDER/scene -n 60 -r 8 -q -o FOLDER/masked --schedule taming --batch 2", EVENTFUL),
     (f"{TRAIN} FOLDER/mcmc --schedule mcmc --max-gaussians 5000 --poses on", EVENTFUL),
     (f"{TRAIN} FOLDER/coded --schedule dash", {**EVENTFUL, "engine": "coded"}),
     (f"{TRAIN} FOLDER/numpy --schedule constant", {**EVENTFUL, "engine": "numpy"}),
-    *((f"{TRAIN} FOLDER/paged_{engine} --init FOLDER/many.ply --memory-budget {budget}MiB",
-       {"sh_every": 12, "engine": engine, "eval_every": 25})
-      for engine, budget in (("device", 18), ("coded", 16))),
+    *(
+        (
+            f"{TRAIN} FOLDER/paged_{engine} --init FOLDER/many.ply --memory-budget {budget}MiB",
+            {"sh_every": 12, "engine": engine, "eval_every": 25},
+        )
+        for engine, budget in (("device", 18), ("coded", 16))
+    ),
     ("bench SCENE -r 4", {}),
-    ("city SCENE -n 60 -r 4 -q -o FOLDER/city --grid 2x1 --least-views 3 --tree --exchanges 1",
-     {"densify_from": 1000}),
+    ("city SCENE -n 60 -r 4 -q -o FOLDER/city --grid 2x1 --least-views 3 --tree --exchanges 1", {"densify_from": 1000}),
     ("render FOLDER/city -o FOLDER/seen", {}),
 )
 
@@ -92,8 +98,9 @@ def recording() -> Iterator[dict[tuple[str, Defines], dict[str, str]]]:
         opened(device, *arguments, **{**named, "form": "group"})
 
     def note(device: Device, kernel: Kernel, defines: Defines) -> Any:
-        choices = tuple(pair for pair in sorted(defines)
-                        if pair[0] not in DEVICE_SIZES and pair[0] in words_of(kernel.file))
+        choices = tuple(
+            pair for pair in sorted(defines) if pair[0] not in DEVICE_SIZES and pair[0] in words_of(kernel.file)
+        )
         found[kernel.file, choices][kernel.function] = kernel.launches.group.group
         return built(device, kernel, defines)
 
@@ -108,8 +115,9 @@ def run_all(folder: Path) -> None:
         words = command.replace("SCENE", str(SCENE)).replace("FOLDER", str(folder)).split()
         if keys:
             file = folder / f"{number}.toml"
-            file.write_text("".join(f"{name} = {value!r}\n" for name, value in keys.items()
-                                    ).replace("'", '"'), encoding="utf-8")
+            file.write_text(
+                "".join(f"{name} = {value!r}\n" for name, value in keys.items()).replace("'", '"'), encoding="utf-8"
+            )
             words += ["--config", str(file)]
         run(words)
     draw_with_the_api()
@@ -152,8 +160,9 @@ def draw_with_the_api() -> None:
     model.rows["log_scales"] += 2  # each in many tiles
     device = clsplat.Device()
     renderer = clsplat.Renderer(clsplat.Gaussians(model.rows, model.sh_degree), device)
-    scatter(device, device.zeros((FEW, 3)), device.upload(np.arange(FEW, dtype=np.uint32)),
-            device.zeros((FEW, 3)))  # where pages of one view come in several rounds
+    scatter(
+        device, device.zeros((FEW, 3)), device.upload(np.arange(FEW, dtype=np.uint32)), device.zeros((FEW, 3))
+    )  # where pages of one view come in several rounds
     device.largest_buffer = SMALL_BUFFER
     for features in (None, np.ones((model.count, 5), np.float32)):
         frame = renderer.forward(cameras[0], depth=True, features=features)
@@ -166,5 +175,11 @@ def unbuilt(programs: list[Program]) -> list[str]:
         if not module.name.endswith("__main__"):
             import_module(module.name)
     built = {(each.file, kernel) for each in programs for kernel in each.kernels}
-    return sorted({str(kernel) for kernels in Kernel.declared.values() for kernel in kernels
-                   if kernel.launches.group and (kernel.file, kernel.function) not in built})
+    return sorted(
+        {
+            str(kernel)
+            for kernels in Kernel.declared.values()
+            for kernel in kernels
+            if kernel.launches.group and (kernel.file, kernel.function) not in built
+        }
+    )

@@ -35,8 +35,7 @@ def trained(checkout, scene, seed, flags):
 def main(argv):
     """Print a line for each scene and turn."""
     words, flags = flags_after(argv)
-    parser = argparse.ArgumentParser(description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("other", type=Path, help="another checkout of clsplat")
     parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE")
     parser.add_argument("--turns", type=int, default=4)
@@ -49,8 +48,18 @@ def main(argv):
             order = checkouts[::-1] if turn % 2 else checkouts
             found = {checkout: trained(checkout, scene, turn, flags) for checkout in order}
             train, process, digests = zip(*(found[checkout] for checkout in checkouts))
-            print(json.dumps({"scene": scene.name, "seed": turn, "train": train,
-                              "process": process, "same": digests[0] == digests[1]}), flush=True)
+            print(
+                json.dumps(
+                    {
+                        "scene": scene.name,
+                        "seed": turn,
+                        "train": train,
+                        "process": process,
+                        "same": digests[0] == digests[1],
+                    }
+                ),
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

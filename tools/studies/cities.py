@@ -58,30 +58,43 @@ def main(argv):
     for name in tables:
         made.append(TABLES[name](work, scenes, arguments))
         with replacing(arguments.out / "cities.md") as file:
-            file.write(("\n\n".join(
-                ["# Cities", f"Made by `{command}` on {work.machine}; do not edit.",
-                 *map(markdown, made)])
-                + "\n").encode())
+            file.write(
+                (
+                    "\n\n".join(
+                        ["# Cities", f"Made by `{command}` on {work.machine}; do not edit.", *map(markdown, made)]
+                    )
+                    + "\n"
+                ).encode()
+            )
         print(f"\n{made[-1].text()}\n", flush=True)
     keep(arguments.keep, made, command, work.machine)
     refuse(work.failed)
 
 
 def _parser():
-    made = argparse.ArgumentParser(description=__doc__, epilog="Flags of `clsplat train` and "
-                                   "`clsplat city`, for all commands, may follow after --.",
-                                   formatter_class=argparse.RawDescriptionHelpFormatter)
+    made = argparse.ArgumentParser(
+        description=__doc__,
+        epilog="Flags of `clsplat train` and `clsplat city`, for all commands, may follow after --.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     made.add_argument("out", type=Path, help="folder of scenes, runs and results")
     made.add_argument("scenes", nargs="*", type=Scene, metavar="SCENE[:DOWNSCALE]")
-    made.add_argument("--streets", type=int, nargs="+", default=[2, 4, 6],
-                      help="streets along each side of the cities that grow; default 2 4 6")
+    made.add_argument(
+        "--streets",
+        type=int,
+        nargs="+",
+        default=[2, 4, 6],
+        help="streets along each side of the cities that grow; default 2 4 6",
+    )
     made.add_argument("--size", default="240x180", help="of their photos; default 240x180")
     made.add_argument("--seeds", type=int, default=3, help="of what is compared; default 3")
-    made.add_argument("--tables", nargs="+", choices=TABLES,
-                      help="those that are made; default: all for which scenes are named")
+    made.add_argument(
+        "--tables", nargs="+", choices=TABLES, help="those that are made; default: all for which scenes are named"
+    )
     keeps(made)
-    made.add_argument("--no-compared", dest="compared", action="store_false",
-                      help="leave out the made city of 3x3 streets")
+    made.add_argument(
+        "--no-compared", dest="compared", action="store_false", help="leave out the made city of 3x3 streets"
+    )
     return made
 
 
@@ -100,8 +113,7 @@ class Work:
         self.out, self.flags, self.failed, self.machine = out, flags, [], "-"
         self._file = out / "cities.jsonl"
         lines = self._file.read_text().splitlines() if self._file.exists() else []
-        self._seconds = {(record["name"], *record["words"]): record["seconds"]
-                         for record in map(json.loads, lines)}
+        self._seconds = {(record["name"], *record["words"]): record["seconds"] for record in map(json.loads, lines)}
 
     def train(self, name, command, scene, *flags):
         """Train OUT/NAME by the command "train" or "city", unless it has been; the folder and the
@@ -117,8 +129,10 @@ class Work:
                 return None, np.nan
             self._seconds[(name, *words)] = round(time.perf_counter() - begin, 2)
             with replacing(self._file) as file:
-                file.writelines((json.dumps({"name": key[0], "words": key[1:], "seconds": seconds})
-                                 + "\n").encode() for key, seconds in self._seconds.items())
+                file.writelines(
+                    (json.dumps({"name": key[0], "words": key[1:], "seconds": seconds}) + "\n").encode()
+                    for key, seconds in self._seconds.items()
+                )
         facts = RunFolder(folder).read_options()
         self.machine = f"{facts.get('opencl_device')}, commit {facts.get('commit')}"
         return folder, self._seconds[(name, *words)]
@@ -126,8 +140,7 @@ class Work:
 
 def clsplat(*words):
     """The exit code of a command of clsplat."""
-    return subprocess.run([sys.executable, "-m", "clsplat", *map(str, words)],
-                          check=False).returncode
+    return subprocess.run([sys.executable, "-m", "clsplat", *map(str, words)], check=False).returncode
 
 
 def made_city(work, streets, photos, size):
@@ -149,9 +162,18 @@ def scores_of(folder):
 
 def growing(work, streets, size):
     """The command that trains a city of streets x streets in as many blocks."""
-    return ("city", made_city(work, streets, PHOTOS_A_STREET * streets**2, size),
-            "-n", STEPS_A_STREET * streets**2, "--grid", f"{streets}x{streets}",
-            "--method", "blockgs", "--exchanges", "0")
+    return (
+        "city",
+        made_city(work, streets, PHOTOS_A_STREET * streets**2, size),
+        "-n",
+        STEPS_A_STREET * streets**2,
+        "--grid",
+        f"{streets}x{streets}",
+        "--method",
+        "blockgs",
+        "--exchanges",
+        "0",
+    )
 
 
 def area_table(work, scenes, arguments):
@@ -164,17 +186,34 @@ def area_table(work, scenes, arguments):
         blocks, inner = block_peaks(folder)
         scores = scores_of(folder)
         head.append(grid)
-        columns.append((cell(seconds, None, 1), cell(seconds / first[1], None, 2),
-                        cell((streets / first[0])**2, None, 2), spread(blocks), spread(inner),
-                        cell(scores.get("gaussians"), None, 0),
-                        cell(scores.get("psnr_cc"), None, 2)))
-    names = ("whole command, s", "times the first", "times its area",
-             "peak memory of a block, MiB: mean (least, most)",
-             "the same of interior blocks, which have neighbours on all sides", "gaussians",
-             "PSNR cc, dB")
+        columns.append(
+            (
+                cell(seconds, None, 1),
+                cell(seconds / first[1], None, 2),
+                cell((streets / first[0]) ** 2, None, 2),
+                spread(blocks),
+                spread(inner),
+                cell(scores.get("gaussians"), None, 0),
+                cell(scores.get("psnr_cc"), None, 2),
+            )
+        )
+    names = (
+        "whole command, s",
+        "times the first",
+        "times its area",
+        "peak memory of a block, MiB: mean (least, most)",
+        "the same of interior blocks, which have neighbours on all sides",
+        "gaussians",
+        "PSNR cc, dB",
+    )
     rows = [(name, *column) for name, column in zip(names, zip(*columns))]
-    return Table("As a city grows", head, rows, range(1, len(head)), (
-        f"Photos of {arguments.size}, {PHOTOS_A_STREET} a street, `--method blockgs`.",))
+    return Table(
+        "As a city grows",
+        head,
+        rows,
+        range(1, len(head)),
+        (f"Photos of {arguments.size}, {PHOTOS_A_STREET} a street, `--method blockgs`.",),
+    )
 
 
 def block_peaks(folder):
@@ -182,10 +221,10 @@ def block_peaks(folder):
     if folder is None:
         return [], []
     city = CityFolder(folder)
-    peaks = [max(record.get("peak_bytes", 0) for record in RunFolder(block.run).records()) / MIB
-             for block in city.blocks()]
-    closed = [bool(np.isfinite([region.low[:2], region.high[:2]]).all())
-              for region in city.partition().regions]
+    peaks = [
+        max(record.get("peak_bytes", 0) for record in RunFolder(block.run).records()) / MIB for block in city.blocks()
+    ]
+    closed = [bool(np.isfinite([region.low[:2], region.high[:2]]).all()) for region in city.partition().regions]
     return peaks, [peak for peak, inner in zip(peaks, closed) if inner]
 
 
@@ -201,27 +240,59 @@ def one_run_table(work, scenes, arguments):
         found = []
         for seed in range(arguments.seeds):
             same = "-r", f"{downscale:g}", "--seed", str(seed)
-            one, one_seconds = work.train(f"one-{name}.{seed}", "train", scene, *same,
-                                          "--eval-every", "end")
+            one, one_seconds = work.train(f"one-{name}.{seed}", "train", scene, *same, "--eval-every", "end")
             city, seconds = work.train(
-                f"city-{name}.{seed}", "city", scene, *same, "--grid", "2x2",
-                *(("--against", str(one)) if one else ()))
+                f"city-{name}.{seed}", "city", scene, *same, "--grid", "2x2", *(("--against", str(one)) if one else ())
+            )
             scores, own = scores_of(city), scores_of(one)
-            found.append((one_seconds, seconds, *(values.get(key, np.nan) for values, key in (
-                (own, "psnr_cc"), (scores, "psnr_cc"), (scores, "seam_db"),
-                (scores, "worst_seam_db")))))
+            found.append(
+                (
+                    one_seconds,
+                    seconds,
+                    *(
+                        values.get(key, np.nan)
+                        for values, key in (
+                            (own, "psnr_cc"),
+                            (scores, "psnr_cc"),
+                            (scores, "seam_db"),
+                            (scores, "worst_seam_db"),
+                        )
+                    ),
+                )
+            )
         one_seconds, seconds, single, merged, seam, worst = np.array(found, float).T
-        rows.append((name, cell(np.median(one_seconds), None, 1), cell(np.median(seconds), None, 1),
-                     cell(np.median(seconds / one_seconds), None, 2),
-                     *(cell(values.mean(), values.std(), 2) for values in (single, merged)),
-                     cell((merged - single).mean(), None, 2, "+"),
-                     *(cell(values.mean(), values.std(), 2) for values in (seam, worst))))
-    return Table("Merged against one run", (
-        "scene", "one run, s", "city, s", "ratio", "one run, cc", "city, cc", "difference",
-        "seams, mean", "seams, worst"), rows, range(1, 9), (
-        f"{arguments.seeds} seeds, mean and standard deviation; seconds of the whole command, "
-        "medians, of which the first may build kernels; cc: PSNR with colours corrected, dB; "
-        "seams: what the city lacks beside borders against one run with the same seed, dB.",))
+        rows.append(
+            (
+                name,
+                cell(np.median(one_seconds), None, 1),
+                cell(np.median(seconds), None, 1),
+                cell(np.median(seconds / one_seconds), None, 2),
+                *(cell(values.mean(), values.std(), 2) for values in (single, merged)),
+                cell((merged - single).mean(), None, 2, "+"),
+                *(cell(values.mean(), values.std(), 2) for values in (seam, worst)),
+            )
+        )
+    return Table(
+        "Merged against one run",
+        (
+            "scene",
+            "one run, s",
+            "city, s",
+            "ratio",
+            "one run, cc",
+            "city, cc",
+            "difference",
+            "seams, mean",
+            "seams, worst",
+        ),
+        rows,
+        range(1, 9),
+        (
+            f"{arguments.seeds} seeds, mean and standard deviation; seconds of the whole command, "
+            "medians, of which the first may build kernels; cc: PSNR with colours corrected, dB; "
+            "seams: what the city lacks beside borders against one run with the same seed, dB.",
+        ),
+    )
 
 
 def schedule_table(work, scenes, arguments):
@@ -232,16 +303,37 @@ def schedule_table(work, scenes, arguments):
             results = []
             for schedule in ("sig", "constant"):
                 folder, seconds = work.train(
-                    f"{schedule}-{method}-{name}", "city", scene, "-r", f"{downscale:g}", "--grid",
-                    "2x2", "--method", method, "--schedule", schedule)
+                    f"{schedule}-{method}-{name}",
+                    "city",
+                    scene,
+                    "-r",
+                    f"{downscale:g}",
+                    "--grid",
+                    "2x2",
+                    "--method",
+                    method,
+                    "--schedule",
+                    schedule,
+                )
                 results.append((seconds, scores_of(folder).get("psnr_cc", np.nan)))
             (seconds, cc), (constant_seconds, constant_cc) = results
-            rows.append((name, method, cell(seconds, None, 1), cell(constant_seconds, None, 1),
-                         cell(constant_seconds / seconds, None, 2), cell(cc, None, 2),
-                         cell(constant_cc, None, 2)))
-    return Table("Sig on CityGS and on BlockGS", (
-        "scene", "method", "sig, s", "constant, s", "times as fast", "sig, cc", "constant, cc"),
-        rows, range(2, 7))
+            rows.append(
+                (
+                    name,
+                    method,
+                    cell(seconds, None, 1),
+                    cell(constant_seconds, None, 1),
+                    cell(constant_seconds / seconds, None, 2),
+                    cell(cc, None, 2),
+                    cell(constant_cc, None, 2),
+                )
+            )
+    return Table(
+        "Sig on CityGS and on BlockGS",
+        ("scene", "method", "sig, s", "constant, s", "times as fast", "sig, cc", "constant, cc"),
+        rows,
+        range(2, 7),
+    )
 
 
 TABLES = {"area": area_table, "one-run": one_run_table, "schedules": schedule_table}

@@ -47,12 +47,12 @@ def without_dense(_: Any) -> Callable[..., Any]:
 
 def equal_visits(visits_of_blocks: Any) -> Callable[..., Any]:
     """In place of `visits_of_blocks`: as many visits in all, each view as often."""
-    return lambda *arguments: [np.full(len(visits), visits.mean())
-                               for visits in visits_of_blocks(*arguments)]
+    return lambda *arguments: [np.full(len(visits), visits.mean()) for visits in visits_of_blocks(*arguments)]
 
 
 def unthinned(find_sizes: Any) -> Callable[..., Any]:
     """In place of `find_sizes`: a pixel or more, or 0 where no view shows a gaussian."""
+
     def found(*arguments: Any) -> Any:
         reached, sizes = find_sizes(*arguments)
         return reached, (sizes > 0).astype(float)
@@ -67,9 +67,13 @@ PATCHES: dict[str, tuple[str, str, Callable[[Any], Any]]] = {
     "thinning": ("clsplat.cities.choose", "find_sizes", unthinned),
 }
 # mechanism -> flags; those that are of use with a joint training alone, or without one alone
-FLAGS = {"none": (), "sharing": ("--workers", "1"),
-         "thinning": ("--workers", "1"), "exchanges": ("--exchanges", "0"),
-         "exchanges-on": ("--exchanges", "3")}
+FLAGS = {
+    "none": (),
+    "sharing": ("--workers", "1"),
+    "thinning": ("--workers", "1"),
+    "exchanges": ("--exchanges", "0"),
+    "exchanges-on": ("--exchanges", "3"),
+}
 ONLY = {"exchanges": False, "exchanges-on": True}  # with a joint training, or without one
 MECHANISMS = tuple(dict.fromkeys((*FLAGS, *PATCHES)))
 
@@ -80,8 +84,9 @@ def main(argv: list[str]) -> None:
     arguments = _parser().parse_args(words)
     arguments.out.mkdir(parents=True, exist_ok=True)
     file = arguments.out / "city_ablation.jsonl"
-    known = ({_key(record): record for record in map(json.loads, file.read_text().splitlines())}
-             if file.is_file() else {})
+    known = (
+        {_key(record): record for record in map(json.loads, file.read_text().splitlines())} if file.is_file() else {}
+    )
     for scene in arguments.scenes:
         for seed in range(arguments.seeds):
             for joint in arguments.joint:
@@ -90,39 +95,63 @@ def main(argv: list[str]) -> None:
                         continue
                     key = off, scene.name, joint, seed
                     if key not in known:
-                        known[key] = trained(arguments.out, scene, off, joint, seed,
-                                             [f"--grid={arguments.grid}", *flags])
+                        known[key] = trained(
+                            arguments.out, scene, off, joint, seed, [f"--grid={arguments.grid}", *flags]
+                        )
                         with open(file, "a", encoding="utf-8") as lines:
                             lines.write(json.dumps(known[key]) + "\n")
                     print(json.dumps(known[key]), flush=True)
 
 
-def trained(out: Path, scene: Scene, off: str, joint: bool, seed: int, flags: list[str]
-            ) -> dict[str, Any]:
+def trained(out: Path, scene: Scene, off: str, joint: bool, seed: int, flags: list[str]) -> dict[str, Any]:
     """Train a city without the mechanism `off`, on request with a `joint` training at its end; it
     begins anew if it was stopped. Returns its line."""
     folder = out / scene.name / f"{off}.{'joint' if joint else 'blocks'}.{seed}"
     shutil.rmtree(folder, ignore_errors=True)
-    words = [scene.path, "-o", folder, "-q", "-r", f"{scene.downscale:g}", "--seed", seed,
-             "--joint-steps", "0.5" if joint else NO_JOINT, *FLAGS.get(off, ()), *flags]
+    words = [
+        scene.path,
+        "-o",
+        folder,
+        "-q",
+        "-r",
+        f"{scene.downscale:g}",
+        "--seed",
+        seed,
+        "--joint-steps",
+        "0.5" if joint else NO_JOINT,
+        *FLAGS.get(off, ()),
+        *flags,
+    ]
     begin = time.perf_counter()
-    done = subprocess.run([sys.executable, "-m", "tools.studies.city_ablation", "city", off,
-                           *map(str, words)], check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.studies.city_ablation", "city", off, *map(str, words)], check=False
+    )
     seconds = round(time.perf_counter() - begin, 2)
-    record: dict[str, Any] = {"off": off, "scene": scene.name, "joint": joint, "seed": seed,
-                              **dict.fromkeys((*SCORES, "gaussians")), "seconds": seconds,
-                              "flags": flags}
+    record: dict[str, Any] = {
+        "off": off,
+        "scene": scene.name,
+        "joint": joint,
+        "seed": seed,
+        **dict.fromkeys((*SCORES, "gaussians")),
+        "seconds": seconds,
+        "flags": flags,
+    }
     if done.returncode:
         return {**record, "failed": done.returncode}
     run = Run.open(folder)
     found = [each for each in RunFolder(folder).records() if each["event"] == "eval"][-1]
-    return {**record, **{key: found[key] for key in (*SCORES, "gaussians")},
-            "device": run.record.get("opencl_device"), "commit": run.record.get("commit")}
+    return {
+        **record,
+        **{key: found[key] for key in (*SCORES, "gaussians")},
+        "device": run.record.get("opencl_device"),
+        "commit": run.record.get("commit"),
+    }
 
 
 def city(off: str, words: list[str]) -> None:
     """`clsplat city` with a mechanism off, in this process."""
     from clsplat.cli.main import main as clsplat
+
     if off in PATCHES:
         module, name, substitute = PATCHES[off]
         where = import_module(module)
@@ -135,16 +164,26 @@ def _key(record: dict[str, Any]) -> tuple[str, str, bool, int]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    made = argparse.ArgumentParser(description=__doc__,
-                                   formatter_class=argparse.RawDescriptionHelpFormatter)
+    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("out", type=Path, help="folder of cities and results")
     made.add_argument("scenes", nargs="+", type=Scene, metavar="SCENE[:DOWNSCALE]")
     made.add_argument("--grid", default="2x2", help="of the blocks; default 2x2")
     made.add_argument("--seeds", type=int, default=1, help="how many; default 1")
-    made.add_argument("--off", nargs="+", choices=MECHANISMS, default=MECHANISMS,
-                      help="mechanisms; default: all, and `none`, with which they are compared")
-    made.add_argument("--joint", nargs="+", type=lambda text: {"yes": True, "no": False}[text],
-                      default=(True, False), metavar="yes|no", help="default: yes no")
+    made.add_argument(
+        "--off",
+        nargs="+",
+        choices=MECHANISMS,
+        default=MECHANISMS,
+        help="mechanisms; default: all, and `none`, with which they are compared",
+    )
+    made.add_argument(
+        "--joint",
+        nargs="+",
+        type=lambda text: {"yes": True, "no": False}[text],
+        default=(True, False),
+        metavar="yes|no",
+        help="default: yes no",
+    )
     return made
 
 

@@ -28,8 +28,18 @@ from tools.studies.study import keep, keeps, markdown, outermost
 
 WAYS = ("clsplat", "COLMAP")
 TITLE = "Features and matches beside COLMAP's"
-HEAD = ("set", "features by", "CPU seconds", "host memory, GiB", "registered", "points",
-        "mean track", "error, pixels", "turned by, degrees", "moved by, %")
+HEAD = (
+    "set",
+    "features by",
+    "CPU seconds",
+    "host memory, GiB",
+    "registered",
+    "points",
+    "mean track",
+    "error, pixels",
+    "turned by, degrees",
+    "moved by, %",
+)
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 SHARE = 90  # per cent of the cameras
 
@@ -67,8 +77,10 @@ class Extractor:
         if width > bitmap.width:
             bitmap.rescale(width, height)
         found, described = self.extractor.extract(bitmap)
-        return (np.array(pycolmap.keypoints_to_matrix(found), np.float32).reshape(-1, 4),
-                np.array(described.data, np.uint8).reshape(-1, 128))
+        return (
+            np.array(pycolmap.keypoints_to_matrix(found), np.float32).reshape(-1, 4),
+            np.array(described.data, np.uint8).reshape(-1, 128),
+        )
 
 
 def colmap_matches(path, pairs, _device, _progress):
@@ -77,8 +89,9 @@ def colmap_matches(path, pairs, _device, _progress):
     options.use_gpu, geometry.ransac.random_seed = False, 0
     listed = pycolmap.ImportedPairingOptions()
     listed.match_list_path = path.with_name("pairs.txt")
-    listed.match_list_path.write_text("".join(
-        f"{features.image_name(first)} {features.image_name(second)}\n" for first, second in pairs))
+    listed.match_list_path.write_text(
+        "".join(f"{features.image_name(first)} {features.image_name(second)}\n" for first, second in pairs)
+    )
     pycolmap.match_image_pairs(path, options, listed, geometry, pycolmap.Device.cpu)
 
 
@@ -98,16 +111,16 @@ def differences(ours, theirs):
         match = other.get(Path(image.name).name)
         if image.has_pose and match is not None:
             places.append((image.projection_center(), match.projection_center()))
-            turns.append((image.cam_from_world().rotation.matrix(),
-                          match.cam_from_world().rotation.matrix()))
+            turns.append((image.cam_from_world().rotation.matrix(), match.cam_from_world().rotation.matrix()))
     ours, theirs = np.array(places).swapaxes(0, 1)
     moved = pycolmap.estimate_sim3d(ours, theirs)
     there = ours @ (moved.scale * moved.rotation.matrix().T) + moved.translation
     away = np.linalg.norm(there - theirs, axis=1)
-    extent = np.sqrt(((theirs - theirs.mean(axis=0))**2).sum(axis=1).mean())
-    angles = [np.degrees(np.arccos(np.clip((np.trace(
-        first @ moved.rotation.matrix().T @ second.T) - 1) / 2, -1, 1)))
-        for first, second in turns]
+    extent = np.sqrt(((theirs - theirs.mean(axis=0)) ** 2).sum(axis=1).mean())
+    angles = [
+        np.degrees(np.arccos(np.clip((np.trace(first @ moved.rotation.matrix().T @ second.T) - 1) / 2, -1, 1)))
+        for first, second in turns
+    ]
     return np.percentile(angles, SHARE), 100 * np.percentile(away, SHARE) / extent
 
 
@@ -116,20 +129,26 @@ def measure(photos, output, way):
     kept = output.with_suffix(".json")
     if kept.exists():
         return json.loads(kept.read_text())
-    child = subprocess.Popen([sys.executable, "-m", "tools.studies.features", str(output),
-                              str(photos), "--way", way])
+    child = subprocess.Popen([sys.executable, "-m", "tools.studies.features", str(output), str(photos), "--way", way])
     _, status, used = os.wait4(child.pid, 0)
     if status:
         raise SystemExit(f"{photos}, {way}: failed")
     model = pycolmap.Reconstruction(output / "sparse" / "0")
     record = json.loads((output / "sfm.json").read_text())
     given = sorted(photos.parent.glob("sparse/**/images.*"))
-    turned, moved = differences(model, pycolmap.Reconstruction(given[0].parent)) if given else (
-        None, None)
-    row = [photos.parent.name if photos.name == "images" else photos.name, way,
-           round(used.ru_utime + used.ru_stime), used.ru_maxrss / 2**20,
-           f"{record['registered']} of {record['photos']}", record["points"],
-           record["mean_track_length"], record["reprojection_error_pixels"], turned, moved]
+    turned, moved = differences(model, pycolmap.Reconstruction(given[0].parent)) if given else (None, None)
+    row = [
+        photos.parent.name if photos.name == "images" else photos.name,
+        way,
+        round(used.ru_utime + used.ru_stime),
+        used.ru_maxrss / 2**20,
+        f"{record['registered']} of {record['photos']}",
+        record["points"],
+        record["mean_track_length"],
+        record["reprojection_error_pixels"],
+        turned,
+        moved,
+    ]
     kept.write_text(json.dumps(row))
     return row
 
@@ -138,14 +157,12 @@ def text(value):
     """A cell."""
     if value is None:
         return "-"
-    return f"{value:.3g}" if isinstance(value, float) else (
-        f"{value:,}" if isinstance(value, int) else value)
+    return f"{value:.3g}" if isinstance(value, float) else (f"{value:,}" if isinstance(value, int) else value)
 
 
 def main(argv):
     """Measure all sets, and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("output", type=Path)
     parser.add_argument("photos", type=Path, nargs="+")
     parser.add_argument("--only", choices=WAYS, help="measure one way")
@@ -162,11 +179,9 @@ def main(argv):
         for way in [args.only] if args.only else WAYS:
             rows.append(measure(photos, args.output / f"{name}_{way}", way))
             print(*rows[-1], flush=True)
-    table = Table(TITLE, HEAD, [[text(value) for value in row] for row in rows],
-                  numbers=range(2, len(HEAD)))
+    table = Table(TITLE, HEAD, [[text(value) for value in row] for row in rows], numbers=range(2, len(HEAD)))
     print(markdown(table))
-    keep(args.keep, [table], f"python -m tools.studies.features {shlex.join(argv)}",
-         "two CPU cores")
+    keep(args.keep, [table], f"python -m tools.studies.features {shlex.join(argv)}", "two CPU cores")
 
 
 if __name__ == "__main__":

@@ -31,15 +31,25 @@ from tests.checks import close
 from tests.reference.blend import blend, blend_adjoint
 from tests.reference.project import project, project_adjoint
 
-CASES = ("plain", "ragged", "grazing", "less_than_a_tile", "degree_0", "degree_1", "degree_2",
-         "lower_degree_active", "stack")
+CASES = (
+    "plain",
+    "ragged",
+    "grazing",
+    "less_than_a_tile",
+    "degree_0",
+    "degree_1",
+    "degree_2",
+    "lower_degree_active",
+    "stack",
+)
 
 
 def main():
     sys.modules["nerfacc"] = types.SimpleNamespace(
-        render_weight_from_alpha=render_weight_from_alpha,
-        accumulate_along_rays=accumulate_along_rays)
+        render_weight_from_alpha=render_weight_from_alpha, accumulate_along_rays=accumulate_along_rays
+    )
     from gsplat.cuda import _torch_impl
+
     for name, antialiased in itertools.product(CASES, (False, True)):
         compare(_torch_impl, name, antialiased)
         print(f"{name}{', antialiased' if antialiased else ''}: agrees")
@@ -61,8 +71,7 @@ def compare(gsplat, name, antialiased):
     splats = project(case["rows"], *arguments, antialiased=antialiased)
     order = np.argsort(splats["depths"], kind="stable")
     order = order[splats["visible"][order]]
-    drawn, transmittance, drawn_depth = blend(splats, order, *size, case["background"],
-                                              with_depth=True)
+    drawn, transmittance, drawn_depth = blend(splats, order, *size, case["background"], with_depth=True)
     assert transmittance.min() < (1e-3 if name == "stack" else 1)
     close(drawn, image.detach(), "double", "image")
     close(1 - transmittance, alpha.detach(), "double", "alpha")
@@ -81,13 +90,22 @@ def render(gsplat, rows, case, antialiased):
     width, height = camera["width"], camera["height"]
     view = torch.eye(4, dtype=torch.float64)
     view[:3, :3], view[:3, 3] = (torch.tensor(camera[key]) for key in ("rotation", "translation"))
-    intrinsics = torch.tensor([[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]],
-                               [0, 0, 1]], dtype=torch.float64)
+    intrinsics = torch.tensor(
+        [[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1]], dtype=torch.float64
+    )
     covariances, _ = gsplat._quat_scale_to_covar_preci(
-        rows["quaternions"], rows["log_scales"].exp(), compute_preci=False)
+        rows["quaternions"], rows["log_scales"].exp(), compute_preci=False
+    )
     radii, means, depths, conics, factors = gsplat._fully_fused_projection(
-        rows["positions"], covariances, view[None], intrinsics[None], width, height,
-        near_plane=float(case["near"]), calc_compensations=antialiased)
+        rows["positions"],
+        covariances,
+        view[None],
+        intrinsics[None],
+        width,
+        height,
+        near_plane=float(case["near"]),
+        calc_compensations=antialiased,
+    )
     opacities = rows["opacity_logits"].sigmoid()[None]
     if antialiased:
         opacities = opacities * factors
@@ -97,8 +115,9 @@ def render(gsplat, rows, case, antialiased):
     colours = gsplat._spherical_harmonics(case["degree"], directions, coefficients)
     channels = torch.cat([(colours + 0.5).clamp_min(0)[None], depths[..., None]], dim=-1)
     gaussian, pixel = pairs(means[0], conics[0], opacities[0], radii[0], depths[0], width, height)
-    drawn, alpha = gsplat.accumulate(means, conics, opacities, channels, gaussian, pixel,
-                                     torch.zeros_like(gaussian), width, height)
+    drawn, alpha = gsplat.accumulate(
+        means, conics, opacities, channels, gaussian, pixel, torch.zeros_like(gaussian), width, height
+    )
     image = drawn[0, ..., :3] + (1 - alpha[0]) * torch.tensor(case["background"])
     return image.permute(2, 0, 1), alpha[0, ..., 0], drawn[0, ..., 3]
 
@@ -115,8 +134,7 @@ def pairs(means, conics, opacities, radii, depths, width, height):
     alpha = opacities[order] * torch.exp(-(a * dx**2 + c * dy**2) / 2 - b * dx * dy)
     alpha = torch.where(alpha < 1 / 255, 0, alpha)
     assert alpha.max() < 0.99
-    pixel, place = torch.nonzero((alpha > 0) & (torch.cumprod(1 - alpha, dim=1) > 1e-4),
-                                 as_tuple=True)
+    pixel, place = torch.nonzero((alpha > 0) & (torch.cumprod(1 - alpha, dim=1) > 1e-4), as_tuple=True)
     return order[place], pixel
 
 

@@ -25,12 +25,14 @@ class Gsplat:
 
     def __init__(self, gaussians, cameras):
         self.turn = 0
-        rows = {name: torch.tensor(values, device="cuda")
-                for name, values in gaussians.rows.items()}
+        rows = {name: torch.tensor(values, device="cuda") for name, values in gaussians.rows.items()}
         self.parameters = [
-            rows["positions"], rows["quaternions"], rows["log_scales"].exp(),
+            rows["positions"],
+            rows["quaternions"],
+            rows["log_scales"].exp(),
             rows["opacity_logits"].sigmoid(),
-            torch.cat([rows["sh_constant"][:, None], rows["sh_rest"]], 1)]
+            torch.cat([rows["sh_constant"][:, None], rows["sh_rest"]], 1),
+        ]
         for parameter in self.parameters:
             parameter.requires_grad_()
         self.views = []
@@ -38,14 +40,19 @@ class Gsplat:
             pose, calibration = np.eye(4, dtype=np.float32), np.eye(3, dtype=np.float32)
             pose[:3, :3], pose[:3, 3] = c.rotation, c.translation
             calibration[:2] = [[c.focal[0], 0, c.centre[0]], [0, c.focal[1], c.centre[1]]]
-            self.views.append((torch.tensor(pose, device="cuda")[None],
-                               torch.tensor(calibration, device="cuda")[None], c.width, c.height))
+            self.views.append(
+                (
+                    torch.tensor(pose, device="cuda")[None],
+                    torch.tensor(calibration, device="cuda")[None],
+                    c.width,
+                    c.height,
+                )
+            )
 
     def _render(self):
         pose, calibration, width, height = self.views[self.turn % len(self.views)]
         self.turn += 1
-        return gsplat.rasterization(*self.parameters, pose, calibration, width, height, sh_degree=3,
-                              packed=False)[0]
+        return gsplat.rasterization(*self.parameters, pose, calibration, width, height, sh_degree=3, packed=False)[0]
 
     def forward(self):
         """Render."""
@@ -74,16 +81,25 @@ def main():
     device = choose_device(options.device)
     for count in options.gaussians:
         gaussians, cameras = city(count)
-        peers = {"clsplat": Clsplat(device, gaussians, cameras),
-                 "gsplat": Gsplat(gaussians, cameras)}
+        peers = {"clsplat": Clsplat(device, gaussians, cameras), "gsplat": Gsplat(gaussians, cameras)}
         for case in ("forward", "both"):
-            times = in_turn([(peer, getattr(peer, case)) for peer in peers.values()],
-                            options.repeats)
+            times = in_turn([(peer, getattr(peer, case)) for peer in peers.values()], options.repeats)
             for name, each in zip(peers, times):
-                record = {"peer": name, "case": case, "device": device.name, "gaussians": count,
-                          "width": cameras[0].width, "height": cameras[0].height, **spread(each)}
-                print(json.dumps(record) if options.json else
-                      f"{name:8} {case:8} {count:>9,} {record['median_ms']:9.3f} ms", flush=True)
+                record = {
+                    "peer": name,
+                    "case": case,
+                    "device": device.name,
+                    "gaussians": count,
+                    "width": cameras[0].width,
+                    "height": cameras[0].height,
+                    **spread(each),
+                }
+                print(
+                    json.dumps(record)
+                    if options.json
+                    else f"{name:8} {case:8} {count:>9,} {record['median_ms']:9.3f} ms",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

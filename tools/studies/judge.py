@@ -74,43 +74,56 @@ def main(argv):
     number, parts = arguments.part
     file = arguments.out / (RESULTS if parts == 1 else f"results-{number}-of-{parts}.jsonl")
     known = read_results(arguments.out)
-    missing = {run.key: run for run in runs[number - 1::parts] if run.key not in known}
-    print(f"{len(runs)} runs, {sum(run.key in known for run in runs)} of them finished before",
-          flush=True)
+    missing = {run.key: run for run in runs[number - 1 :: parts] if run.key not in known}
+    print(f"{len(runs)} runs, {sum(run.key in known for run in runs)} of them finished before", flush=True)
     failed = train_all(list(missing.values()), file, arguments, begin)
     known = read_results(arguments.out)
     results = [Result(run.name, run.division, known[run.key]) for run in runs if run.key in known]
-    tables = write_page(arguments.out / "judge.md", arguments.baseline, arguments.chosen,
-                        arguments.flags, results, len(runs))
-    keep(arguments.keep, tables, f"python -m tools.studies.judge {shlex.join(argv)}",
-         " / ".join({str(result.values.get("opencl_device")) for result in results}))
+    tables = write_page(
+        arguments.out / "judge.md", arguments.baseline, arguments.chosen, arguments.flags, results, len(runs)
+    )
+    keep(
+        arguments.keep,
+        tables,
+        f"python -m tools.studies.judge {shlex.join(argv)}",
+        " / ".join({str(result.values.get("opencl_device")) for result in results}),
+    )
     refuse(failed)
 
 
 def parsed(argv):
     """The arguments; those that follow -- are `flags` of all runs."""
-    parser = argparse.ArgumentParser(description=__doc__, epilog="Flags of `clsplat train` for all "
-                                     "runs may follow after --.",
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__,
+        epilog="Flags of `clsplat train` for all runs may follow after --.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("out", type=Path, help="folder of the results and the page")
     parser.add_argument("sets", nargs="+", metavar="SETS[:DOWNSCALE]")
-    parser.add_argument("-n", dest="steps", type=numbers, default=[7000, 30000],
-                        help="numbers of steps (default 7000,30000)")
+    parser.add_argument(
+        "-n", dest="steps", type=numbers, default=[7000, 30000], help="numbers of steps (default 7000,30000)"
+    )
     parser.add_argument("--every", type=int, default=8, help="--test-every of all runs (default 8)")
-    parser.add_argument("--offsets", type=numbers, default=[0, 3, 6],
-                        help="--test-offset of the divisions (default 0,3,6)")
+    parser.add_argument(
+        "--offsets", type=numbers, default=[0, 3, 6], help="--test-offset of the divisions (default 0,3,6)"
+    )
     parser.add_argument("--seeds", type=int, default=3, help="default 3")
     parser.add_argument("--schedules", default=",".join(OURS), help=f"default {','.join(OURS)}")
-    parser.add_argument("--with", dest="others", action="append", default=[],
-                        metavar="'NAME: FLAGS'", help="another column; repeatable")
-    parser.add_argument("--baseline", help="the column that others are compared with (default: "
-                        "constant, else the first)")
-    parser.add_argument("--chosen", default="", help="sets, or SET:OFFSET, on which choices were "
-                        "made; all others confirm them")
-    parser.add_argument("--minutes", type=float, default=float("inf"),
-                        help="end the call after so long (default: when all is done)")
-    parser.add_argument("--part", type=part, default=(1, 1), metavar="I/N",
-                        help="take the I-th of N shares of the runs")
+    parser.add_argument(
+        "--with", dest="others", action="append", default=[], metavar="'NAME: FLAGS'", help="another column; repeatable"
+    )
+    parser.add_argument(
+        "--baseline", help="the column that others are compared with (default: constant, else the first)"
+    )
+    parser.add_argument(
+        "--chosen", default="", help="sets, or SET:OFFSET, on which choices were made; all others confirm them"
+    )
+    parser.add_argument(
+        "--minutes", type=float, default=float("inf"), help="end the call after so long (default: when all is done)"
+    )
+    parser.add_argument(
+        "--part", type=part, default=(1, 1), metavar="I/N", help="take the I-th of N shares of the runs"
+    )
     keeps(parser)
     parser.add_argument("--keep-runs", action="store_true", help="keep the folders in OUT/runs")
     words, flags = flags_after(argv)
@@ -144,8 +157,10 @@ def columns(arguments):
     for text in arguments.others:
         name, colon, flags = text.partition(":")
         if not colon:
-            raise InputError(f"--with {text}: expects a name, a colon and flags, such as "
-                             "'sig+opacity: --schedule sig --opacity-weight 0.01'")
+            raise InputError(
+                f"--with {text}: expects a name, a colon and flags, such as "
+                "'sig+opacity: --schedule sig --opacity-weight 0.01'"
+            )
         result[name.strip()] = shlex.split(flags)
     return result
 
@@ -157,8 +172,7 @@ def scenes_of(words):
         given = Scene(word)
         folder = Path(given.path)
         if folder.is_dir() and not is_scene(folder):
-            inside = [path for path in sorted(folder.iterdir())
-                      if path.is_dir() and is_scene(path)]
+            inside = [path for path in sorted(folder.iterdir()) if path.is_dir() and is_scene(path)]
             if not inside:
                 raise InputError(f"{folder}: neither a scene nor a folder of scenes")
             found += [Scene(f"{path}:{given.downscale:g}") for path in inside]
@@ -175,9 +189,11 @@ def check_chosen(chosen, places):
     """InputError for a choice on what is no division (set, offset) of the study."""
     for word in chosen:
         if not any(is_chosen(place, [word]) for place in places):
-            raise InputError(f"--chosen {word}: is no set of "
-                             f"{', '.join(sorted({name for name, _ in places}))}, nor one of them "
-                             "with an offset, such as SET:0")
+            raise InputError(
+                f"--chosen {word}: is no set of "
+                f"{', '.join(sorted({name for name, _ in places}))}, nor one of them "
+                "with an offset, such as SET:0"
+            )
 
 
 def planned(arguments):
@@ -189,21 +205,31 @@ def planned(arguments):
                 for offset in arguments.offsets:
                     division = Division(scene.name, steps, offset, seed)
                     for name, flags in arguments.columns.items():
-                        given = options_of(scene, division, arguments.every,
-                                           [*arguments.flags, *flags])
+                        given = options_of(scene, division, arguments.every, [*arguments.flags, *flags])
                         device = given.pop("device", "auto")
                         runs.append(JudgedRun(scene, name, division, given, device))
     if len({(run.device, run.options.get("form", "auto")) for run in runs}) > 1:
-        raise InputError("--device and --form: give them after --, for all columns; a study runs "
-                         "on one device")
+        raise InputError("--device and --form: give them after --, for all columns; a study runs on one device")
     return runs
 
 
 def options_of(scene, division, every, flags):
     """The options that flags give, by name; InputError for invalid ones."""
-    words = ["-n", division.steps, "-r", f"{scene.downscale:g}",
-             "--seed", division.seed, "--test-every", every, "--test-offset", division.offset,
-             "--checkpoint-every", "end", *flags]
+    words = [
+        "-n",
+        division.steps,
+        "-r",
+        f"{scene.downscale:g}",
+        "--seed",
+        division.seed,
+        "--test-every",
+        every,
+        "--test-offset",
+        division.offset,
+        "--checkpoint-every",
+        "end",
+        *flags,
+    ]
     context = COMMAND.make_context("judge", [str(word) for word in words])
     given = {**config_options(context), **given_options(context)}
     resolve({}, given)
@@ -235,12 +261,16 @@ def train_all(runs, file, arguments, begin):
         started = time.monotonic()
         device = device or choose_device(run.device, form=run.options.get("form", "auto"))
         if run.scene.name not in scenes:  # the runs of a set follow each other
-            scenes = {run.scene.name: clsplat.Scene.read(run.scene.path,
-                                                         run.options.get("images", ""))}
+            scenes = {run.scene.name: clsplat.Scene.read(run.scene.path, run.options.get("images", ""))}
         folder = arguments.out / "runs" / re.sub(r"[^\w+.]+", "-", f"{run.division} {run.name}")
         try:
-            made = clsplat.train(scenes[run.scene.name], clsplat.TrainOptions(**run.options),
-                                 output=folder, device=device, overwrite=True)
+            made = clsplat.train(
+                scenes[run.scene.name],
+                clsplat.TrainOptions(**run.options),
+                output=folder,
+                device=device,
+                overwrite=True,
+            )
             result = {**result_of(run, made), **further_scores(made, device)}
         except Interrupted:
             raise
@@ -254,9 +284,11 @@ def train_all(runs, file, arguments, begin):
             shutil.rmtree(folder)
         seconds = time.monotonic() - started
         longest[run.division.steps] = max(seconds, longest.get(run.division.steps, 0))
-        print(f"[{number}/{len(runs)}] {run.division} {run.name}: {result['psnr_cc']:.2f} dB cc, "
-              f"{result['psnr']:.2f} dB, {result['gaussians']:,} gaussians, {seconds:.0f} s",
-              flush=True)
+        print(
+            f"[{number}/{len(runs)}] {run.division} {run.name}: {result['psnr_cc']:.2f} dB cc, "
+            f"{result['psnr']:.2f} dB, {result['gaussians']:,} gaussians, {seconds:.0f} s",
+            flush=True,
+        )
     return failed
 
 
@@ -265,11 +297,15 @@ def result_of(run, made):
     evaluations = [record for record in made.metrics if record["event"] == "eval"]
     if not evaluations:
         raise InputError("no view is held out; use another --every or --offsets")
-    return {"key": run.key, "set": run.scene.name, "name": run.name,
-            "options": plain(run.options),
-            **{name: evaluations[-1][name] for name in SCORES},
-            "curve": [[record[name] for name in CURVE] for record in evaluations],
-            **{name: made.record.get(name) for name in FACTS}}
+    return {
+        "key": run.key,
+        "set": run.scene.name,
+        "name": run.name,
+        "options": plain(run.options),
+        **{name: evaluations[-1][name] for name in SCORES},
+        "curve": [[record[name] for name in CURVE] for record in evaluations],
+        **{name: made.record.get(name) for name in FACTS},
+    }
 
 
 if __name__ == "__main__":

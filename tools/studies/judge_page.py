@@ -17,10 +17,16 @@ from tools.studies.study import cell, markdown
 
 CC, PLAIN = "psnr_cc", "psnr"
 # of a result: title, key, digits
-SCORES = (("PSNR cc, dB", CC, 2), ("PSNR, dB", PLAIN, 2), ("SSIM cc", "ssim_cc", 4),
-          ("SSIM", "ssim", 4), ("PSNR cc where seen, dB", "psnr_cc_seen", 2),
-          ("FLIP cc", "flip_cc", 4), ("gaussians", "gaussians", 0),
-          ("training, s", "train_seconds", 1))
+SCORES = (
+    ("PSNR cc, dB", CC, 2),
+    ("PSNR, dB", PLAIN, 2),
+    ("SSIM cc", "ssim_cc", 4),
+    ("SSIM", "ssim", 4),
+    ("PSNR cc where seen, dB", "psnr_cc_seen", 2),
+    ("FLIP cc", "flip_cc", 4),
+    ("gaussians", "gaussians", 0),
+    ("training, s", "train_seconds", 1),
+)
 
 
 class Division(NamedTuple):
@@ -71,8 +77,7 @@ class Compared:
         divisions = {}
         for result in results:
             divisions.setdefault(result.division, {})[result.name] = result
-        complete = {division: by_name for division, by_name in divisions.items()
-                    if len(by_name) == len(self.names)}
+        complete = {division: by_name for division, by_name in divisions.items() if len(by_name) == len(self.names)}
         self.left_out = len(divisions) - len(complete)
         self.cells, self.sets = {}, {}
         for division, by_name in complete.items():
@@ -125,11 +130,13 @@ def fallen(by_name, name):
 def time_to(baseline):
     """A measure: the logarithm of the time to the baseline's final PSNR cc over the baseline's
     whole time; None where a run does not reach it."""
+
     def measure(by_name, name):
         level = np.mean([result.values[CC] for result in by_name[baseline]])
         whole = np.mean([result.values["train_seconds"] for result in by_name[baseline]])
         times = [result.seconds_to(level) for result in by_name[name]]
         return None if None in times else float(np.log(np.mean(times) / whole))
+
     return measure
 
 
@@ -151,8 +158,7 @@ def write_page(path, baseline, chosen, flags, results, wanted):
         if baseline not in compared.names or not compared.cells:
             parts.append(f"## {steps:,} steps\n\nNo division has a run of every column yet.")
             continue
-        tables = (score_table(compared), baseline_table(compared, baseline, chosen),
-                  set_table(compared, baseline))
+        tables = (score_table(compared), baseline_table(compared, baseline, chosen), set_table(compared, baseline))
         made += [replace(table, title=f"{steps:,} steps: {table.title}") for table in tables]
         parts += [f"## {steps:,} steps", *map(markdown, tables)]
     with replacing(path) as file:
@@ -165,8 +171,7 @@ def facts(results, flags, wanted):
     """A paragraph on what ran where."""
     said = [f"{len(results)} of {wanted} runs"]
     for key, label in (("opencl_device", ""), ("kernel_form", "form "), ("commit", "commit ")):
-        values = sorted({re.sub(r"(?<=^[0-9a-f]{8})[0-9a-f]+", "", str(result.values.get(key)))
-                         for result in results})
+        values = sorted({re.sub(r"(?<=^[0-9a-f]{8})[0-9a-f]+", "", str(result.values.get(key))) for result in results})
         said.append(label + " / ".join(values))
         if key == "opencl_device" and len(values) > 1:
             said.append("times of different devices cannot be compared")
@@ -190,10 +195,9 @@ def divisions(results, chosen):
         for place in places:
             if is_chosen(place, chosen) == wanted:
                 by_set.setdefault(place[0], []).append(str(place[1]))
-        return "; ".join(f"{name} (offsets {', '.join(offsets)})"
-                         for name, offsets in by_set.items()) or "none"
+        return "; ".join(f"{name} (offsets {', '.join(offsets)})" for name, offsets in by_set.items()) or "none"
 
-    return (f"Choices were made on: {listed(True)}.\n\nThey are confirmed on: {listed(False)}.")
+    return f"Choices were made on: {listed(True)}.\n\nThey are confirmed on: {listed(False)}."
 
 
 def score_table(compared):
@@ -203,49 +207,84 @@ def score_table(compared):
         own = {key: compared.of_set(name, mean_of(key)) for _, key, _ in SCORES}
         variances = list(compared.of_set(name, deviation).values())
         worst = min(own[CC], key=own[CC].get)
-        rows.append((name, str(sum(len(by_name[name]) for by_name in compared.cells.values())),
-                     *(cell(np.mean(list(own[key].values())), None, digits)
-                       for _, key, digits in SCORES),
-                     cell(np.sqrt(np.mean(variances)) if variances else None, None, 3),
-                     f"{worst} {own[CC][worst]:.2f}"))
+        rows.append(
+            (
+                name,
+                str(sum(len(by_name[name]) for by_name in compared.cells.values())),
+                *(cell(np.mean(list(own[key].values())), None, digits) for _, key, digits in SCORES),
+                cell(np.sqrt(np.mean(variances)) if variances else None, None, 3),
+                f"{worst} {own[CC][worst]:.2f}",
+            )
+        )
     offsets = sum(map(len, compared.sets.values()))
-    notes = ["cc: after a quadratic fit of each render's colours to its photo. The spread is the "
-             "standard deviation of PSNR cc over seeds, its root mean square over divisions."]
+    notes = [
+        "cc: after a quadratic fit of each render's colours to its photo. The spread is the "
+        "standard deviation of PSNR cc over seeds, its root mean square over divisions."
+    ]
     if compared.left_out:
-        notes.append(f"{compared.left_out} seeds of divisions are left out: a column has no run "
-                     "there.")
-    return Table(f"Means over {len(compared.sets)} sets, {offsets} divisions",
-                 ("", "runs", *(title for title, _, _ in SCORES), "spread, dB",
-                  "worst set, PSNR cc"), rows, range(1, 11), notes)
+        notes.append(f"{compared.left_out} seeds of divisions are left out: a column has no run there.")
+    return Table(
+        f"Means over {len(compared.sets)} sets, {offsets} divisions",
+        ("", "runs", *(title for title, _, _ in SCORES), "spread, dB", "worst set, PSNR cc"),
+        rows,
+        range(1, 11),
+        notes,
+    )
 
 
 def baseline_table(compared, baseline, chosen):
     """Each column against the baseline."""
     own = {place for place in compared.cells if is_chosen(place, chosen)}
     others = set(compared.cells) - own
-    best = {of: max(compared.of_set(name, mean_of(CC))[of] for name in compared.names)
-            for of in compared.sets}
+    best = {of: max(compared.of_set(name, mean_of(CC))[of] for name in compared.names) for of in compared.sets}
     rows = []
     for name in compared.names:
         more, plain = (compared.of_set(name, more_than(baseline, key)) for key in (CC, PLAIN))
         below = {of: best[of] - value for of, value in compared.of_set(name, mean_of(CC)).items()}
-        ratios = [mean_ratio(compared.of_set(name, measure)) for measure in (
-            log_ratio(baseline, "gaussians"), log_ratio(baseline, "train_seconds"))]
+        ratios = [
+            mean_ratio(compared.of_set(name, measure))
+            for measure in (log_ratio(baseline, "gaussians"), log_ratio(baseline, "train_seconds"))
+        ]
         soon = compared.of_set(name, time_to(baseline))
         lost = compared.of_set(name, fallen)
-        rows.append((name, with_error(more),
-                     *(with_error(compared.of_set(name, more_than(baseline, CC), among=places))
-                       for places in (own, others)),
-                     with_error(plain), lowest(more), lowest(plain), highest(below), *ratios,
-                     f"{mean_ratio(soon)} ({len(soon)} of {len(compared.sets)})", highest(lost)))
-    return Table(f"Against {baseline}", (
-        "", "PSNR cc more, dB", "where chosen", "where confirmed", "PSNR more, dB",
-        "worst set, cc", "worst set, PSNR", "most below the best column of a set, cc",
-        "gaussians, ratio", "training, ratio", "time to its end, ratio",
-        "most below its own best moment"), rows, range(1, 12), (
-        "± is the standard error of the mean over sets. Ratios are geometric means. Time to its "
-        f"end: until the PSNR cc with which {baseline} ends, over the time of {baseline}; in "
-        "brackets, on how many sets a run of every seed gets there.",))
+        rows.append(
+            (
+                name,
+                with_error(more),
+                *(with_error(compared.of_set(name, more_than(baseline, CC), among=places)) for places in (own, others)),
+                with_error(plain),
+                lowest(more),
+                lowest(plain),
+                highest(below),
+                *ratios,
+                f"{mean_ratio(soon)} ({len(soon)} of {len(compared.sets)})",
+                highest(lost),
+            )
+        )
+    return Table(
+        f"Against {baseline}",
+        (
+            "",
+            "PSNR cc more, dB",
+            "where chosen",
+            "where confirmed",
+            "PSNR more, dB",
+            "worst set, cc",
+            "worst set, PSNR",
+            "most below the best column of a set, cc",
+            "gaussians, ratio",
+            "training, ratio",
+            "time to its end, ratio",
+            "most below its own best moment",
+        ),
+        rows,
+        range(1, 12),
+        (
+            "± is the standard error of the mean over sets. Ratios are geometric means. Time to its "
+            f"end: until the PSNR cc with which {baseline} ends, over the time of {baseline}; in "
+            "brackets, on how many sets a run of every seed gets there.",
+        ),
+    )
 
 
 def set_table(compared, baseline):
@@ -253,17 +292,34 @@ def set_table(compared, baseline):
     rows = []
     for of in compared.sets:
         for name in compared.names:
-            runs = [run for (place, _), by_name in compared.cells.items() if place == of
-                    for run in by_name[name]]
-            means = [cell(compared.of_set(name, mean_of(key))[of], None, digits)
-                     for _, key, digits in SCORES]
+            runs = [run for (place, _), by_name in compared.cells.items() if place == of for run in by_name[name]]
+            means = [cell(compared.of_set(name, mean_of(key))[of], None, digits) for _, key, digits in SCORES]
             deviations = compared.of_set(name, deviation).get(of)
-            rows.append((of, name, str(len(runs)), *means,
-                         cell(None if deviations is None else np.sqrt(deviations), None, 3),
-                         *(cell(compared.of_set(name, more_than(baseline, key))[of], None, 2, "+")
-                           for key in (CC, PLAIN))))
-    return Table("By set", ("set", "", "runs", *(title for title, _, _ in SCORES), "spread, dB",
-                            f"cc to {baseline}", f"PSNR to {baseline}"), rows, range(2, 14), ())
+            rows.append(
+                (
+                    of,
+                    name,
+                    str(len(runs)),
+                    *means,
+                    cell(None if deviations is None else np.sqrt(deviations), None, 3),
+                    *(cell(compared.of_set(name, more_than(baseline, key))[of], None, 2, "+") for key in (CC, PLAIN)),
+                )
+            )
+    return Table(
+        "By set",
+        (
+            "set",
+            "",
+            "runs",
+            *(title for title, _, _ in SCORES),
+            "spread, dB",
+            f"cc to {baseline}",
+            f"PSNR to {baseline}",
+        ),
+        rows,
+        range(2, 14),
+        (),
+    )
 
 
 def with_error(by_set):

@@ -58,13 +58,10 @@ def main(argv):
     arguments.out.mkdir(parents=True, exist_ok=True)
     records = []
     for name, scene in scenes:
-        rows = [(row, *prepared(arguments, scene, options, parts))
-                for row, options, parts in variants()]
-        times = in_turn([(device, step) for _, device, step in rows], arguments.repeats,
-                        warm_up=VIEWS)
+        rows = [(row, *prepared(arguments, scene, options, parts)) for row, options, parts in variants()]
+        times = in_turn([(device, step) for _, device, step in rows], arguments.repeats, warm_up=VIEWS)
         for (row, device, _), measured in zip(rows, times):
-            records.append({"scene": name, "variant": row,
-                            **record(arguments, scene, device, measured)})
+            records.append({"scene": name, "variant": row, **record(arguments, scene, device, measured)})
             print(json.dumps(records[-1]), flush=True)
         with replacing(arguments.out / "leave_out.jsonl") as file:
             file.writelines((json.dumps(record) + "\n").encode() for record in records)
@@ -72,20 +69,17 @@ def main(argv):
     command = f"python -m tools.studies.leave_out {shlex.join(argv)}"
     with replacing(arguments.out / "leave_out.md") as file:
         note = f"Made by `{command}`; do not edit."
-        file.write("\n\n".join(["# The cost of parts of a step", note, *map(markdown, tables), ""]
-                              ).encode())
+        file.write("\n\n".join(["# The cost of parts of a step", note, *map(markdown, tables), ""]).encode())
     print(f"{arguments.out / 'leave_out.md'}")
     keep(arguments.keep, tables, command, records[0]["device"])
 
 
 def _parser():
-    made = argparse.ArgumentParser(description=__doc__,
-                                   formatter_class=argparse.RawDescriptionHelpFormatter)
+    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("out", type=Path, help="folder of the results")
     made.add_argument("scenes", nargs="+", metavar="SCENE[:DOWNSCALE][@VIEWS]")
     made.add_argument("--gaussians", type=int, default=100_000, help="default 100000")
-    made.add_argument("--repeats", type=int, default=40,
-                      help="number of timed steps for each row; default 40")
+    made.add_argument("--repeats", type=int, default=40, help="number of timed steps for each row; default 40")
     keeps(made)
     made.add_argument("--device", default="auto")
     made.add_argument("--form", default="auto", choices=("auto", "item", "group"))
@@ -94,9 +88,9 @@ def _parser():
 
 def variants():
     """The name, the options, and the names of the parts that are on, for each row."""
+
     def options(on):
-        return {key: value for part, sides in PARTS.items()
-                for key, value in sides[part not in on].items()}
+        return {key: value for part, sides in PARTS.items() for key, value in sides[part not in on].items()}
 
     every = tuple(PARTS)
     yield ON, options(every), every
@@ -120,8 +114,7 @@ def _scene(text):
     kept = int(views)
     seen = scene.observations
     seen = None if seen is None else seen[seen[:, 1] < kept]
-    return f"{source.name}@{views}", dataclasses.replace(scene, views=scene.views[:kept],
-                                                         observations=seen)
+    return f"{source.name}@{views}", dataclasses.replace(scene, views=scene.views[:kept], observations=seen)
 
 
 def prepared(arguments, scene, options, parts):
@@ -150,26 +143,52 @@ def record(arguments, scene, device, times):
     """The record of a row: median and quartiles of a step's milliseconds, and the device's MiB."""
     low, median, high = np.percentile(times, (25, 50, 75))
     camera = scene.views[0].camera
-    return {"gaussians": arguments.gaussians, "views": len(scene.views), "width": camera.width,
-            "height": camera.height, "device": device.name, "form": device.form,
-            "driver": device.handle.driver_version, "median_ms": round(float(median), 3),
-            "quartiles_ms": [round(float(low), 3), round(float(high), 3)], "repeats": len(times),
-            "device_mib": round(device.memory_bytes / 2**20, 1)}
+    return {
+        "gaussians": arguments.gaussians,
+        "views": len(scene.views),
+        "width": camera.width,
+        "height": camera.height,
+        "device": device.name,
+        "form": device.form,
+        "driver": device.handle.driver_version,
+        "median_ms": round(float(median), 3),
+        "quartiles_ms": [round(float(low), 3), round(float(high), 3)],
+        "repeats": len(times),
+        "device_mib": round(device.memory_bytes / 2**20, 1),
+    }
 
 
 def table(name, records):
     """A row for each variant, with the difference to everything on."""
     full = next(record for record in records if record["variant"] == ON)
-    rows = [(r["variant"], f"{r['median_ms']:.2f}",
-             f"{r['quartiles_ms'][0]:.2f} to {r['quartiles_ms'][1]:.2f}",
-             f"{full['median_ms'] / r['median_ms']:.2f}", f"{r['device_mib']:.0f}",
-             f"{r['device_mib'] - full['device_mib']:+.0f}") for r in records]
+    rows = [
+        (
+            r["variant"],
+            f"{r['median_ms']:.2f}",
+            f"{r['quartiles_ms'][0]:.2f} to {r['quartiles_ms'][1]:.2f}",
+            f"{full['median_ms'] / r['median_ms']:.2f}",
+            f"{r['device_mib']:.0f}",
+            f"{r['device_mib'] - full['device_mib']:+.0f}",
+        )
+        for r in records
+    ]
     return Table(
         f"What parts of a step cost: {name}",
-        (f"{full['width']}x{full['height']}, {full['gaussians']:,} gaussians", "ms a step",
-         "quartiles", "times faster", "MiB", "to everything on"), rows,
-        range(1, 6), (f"{full['device']}, form {full['form']}, driver {full['driver']}; "
-                      f"{full['repeats']} steps for each row on at most {VIEWS} photos.",))
+        (
+            f"{full['width']}x{full['height']}, {full['gaussians']:,} gaussians",
+            "ms a step",
+            "quartiles",
+            "times faster",
+            "MiB",
+            "to everything on",
+        ),
+        rows,
+        range(1, 6),
+        (
+            f"{full['device']}, form {full['form']}, driver {full['driver']}; "
+            f"{full['repeats']} steps for each row on at most {VIEWS} photos.",
+        ),
+    )
 
 
 if __name__ == "__main__":

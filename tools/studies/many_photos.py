@@ -21,11 +21,10 @@ def make(photo: Path, output: Path, number: int) -> None:
     pixels = read_image(photo)
     height, width = (int(side * rng.uniform(0.8, 1)) for side in pixels.shape[:2])
     y, x = (rng.integers(0, whole - side + 1) for whole, side in zip(pixels.shape, (height, width)))
-    crop = pixels[y:y + height, x:x + width][::(-1)**number, ::(-1)**number]
+    crop = pixels[y : y + height, x : x + width][:: (-1) ** number, :: (-1) ** number]
     enlarged = scipy.ndimage.zoom(crop, (HEIGHT / height, WIDTH / width, 1), order=1)
     values = enlarged * rng.uniform(0.9, 1.1) + rng.normal(0, NOISE, (HEIGHT, WIDTH, 1))
-    write_image(output / f"{number}_{photo.stem}.jpg",
-                np.clip(values, 0, 255).round().astype(np.uint8), QUALITY)
+    write_image(output / f"{number}_{photo.stem}.jpg", np.clip(values, 0, 255).round().astype(np.uint8), QUALITY)
 
 
 def main() -> None:
@@ -33,8 +32,9 @@ def main() -> None:
     source, output = map(Path, sys.argv[1:])
     output.mkdir(parents=True)
     with ProcessPoolExecutor() as pool:
-        done = [pool.submit(make, photo, output, number)
-                for number in range(CROPS) for photo in sorted(source.iterdir())]
+        done = [
+            pool.submit(make, photo, output, number) for number in range(CROPS) for photo in sorted(source.iterdir())
+        ]
     for each in done:
         each.result()
 

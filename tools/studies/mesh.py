@@ -54,8 +54,9 @@ def shown_surface(city, cameras, pixel, count=TRUE_SAMPLES, seed=0):
     points, shown = sample(city, count, MARGIN, np.random.default_rng(seed)), np.zeros(count, int)
     for camera in cameras:
         places, depths = camera.project(points)
-        within = np.flatnonzero((depths > 0) & (places >= 0).all(axis=1)
-                                & (places < (camera.width, camera.height)).all(axis=1))
+        within = np.flatnonzero(
+            (depths > 0) & (places >= 0).all(axis=1) & (places < (camera.width, camera.height)).all(axis=1)
+        )
         met, _ = cast(city, camera, places[within])
         shown[within] += np.linalg.norm(met - points[within], axis=1) < HIDDEN * pixel
     return points[shown >= 2]
@@ -67,8 +68,7 @@ def solids_at(city, points):
     kinds[(abs(points[:, :2]) > city.extent).any(axis=1)] = "rim"
     for (low, high), kind in zip(city.boxes, city.kinds):
         beyond = np.maximum(low - points, points - high)
-        away = abs(np.linalg.norm(np.maximum(beyond, 0), axis=1)
-                   + np.minimum(beyond.max(axis=1), 0))
+        away = abs(np.linalg.norm(np.maximum(beyond, 0), axis=1) + np.minimum(beyond.max(axis=1), 0))
         here = away < nearest
         nearest[here] = away[here]
         roof = abs(points[here, 2] - high[2]) < abs(beyond[here, :2]).min(axis=1)
@@ -88,11 +88,19 @@ def outside(mesh, city, errors, pixel):
     beside = np.zeros(len(errors), bool)
     beside[triangles[rim[triangles].any(axis=1)]] = True
     kinds = solids_at(city, mesh.vertices)
-    places = {"at open edges": rim, "beside open edges": beside & ~rim, "inner": ~beside,
-              **{kind: kinds == kind for kind in np.unique(kinds)}}
-    return {name: [round(float(share), 3) for share in (
-        here.mean(), far[here].mean(), (far & here).sum() / max(1, far.sum()))]
-        for name, here in places.items() if here.any()}
+    places = {
+        "at open edges": rim,
+        "beside open edges": beside & ~rim,
+        "inner": ~beside,
+        **{kind: kinds == kind for kind in np.unique(kinds)},
+    }
+    return {
+        name: [
+            round(float(share), 3) for share in (here.mean(), far[here].mean(), (far & here).sum() / max(1, far.sum()))
+        ]
+        for name, here in places.items()
+        if here.any()
+    }
 
 
 def compared(mesh, city, scene, samples=SAMPLES):
@@ -104,20 +112,26 @@ def compared(mesh, city, scene, samples=SAMPLES):
     true = shown_surface(city, in_original(scene), pixel)
     fine = on_surface(mesh, max(samples, int(areas(mesh).sum() * (FINE / pixel) ** 2)))
     reached, _ = scipy.spatial.cKDTree(fine).query(true, distance_upper_bound=pixel)
-    return {"pixel": pixel, "voxel": mesh.voxel, "triangles": len(mesh.triangles),
-            "open_edges": open_edges(mesh),
-            "shared_edges": int((edges_of(mesh.triangles)[1] > 2).sum()),
-            "complete": float((near < 2 * pixel).mean()),
-            "true_surface": float(np.isfinite(reached).mean()),
-            **{f"{name}_within_{limit:g}": float((abs(values) < limit * pixel).mean())
-               for name, values in errors.items() for limit in LIMITS},
-            "outside": outside(mesh, city, errors["vertices"], pixel)}
+    return {
+        "pixel": pixel,
+        "voxel": mesh.voxel,
+        "triangles": len(mesh.triangles),
+        "open_edges": open_edges(mesh),
+        "shared_edges": int((edges_of(mesh.triangles)[1] > 2).sum()),
+        "complete": float((near < 2 * pixel).mean()),
+        "true_surface": float(np.isfinite(reached).mean()),
+        **{
+            f"{name}_within_{limit:g}": float((abs(values) < limit * pixel).mean())
+            for name, values in errors.items()
+            for limit in LIMITS
+        },
+        "outside": outside(mesh, city, errors["vertices"], pixel),
+    }
 
 
 def main():
     """Make the mesh of a run, and print its scores."""
-    parser = argparse.ArgumentParser(description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path)
     parser.add_argument("--voxel", type=float, help="world units")
     parser.add_argument("--device", default="auto", help="as of clsplat")
@@ -126,8 +140,7 @@ def main():
     scene, begin = run.scene(), time.perf_counter()
     mesh = run_mesh(run, scene, device, given.voxel)
     seconds = time.perf_counter() - begin
-    print(json.dumps({"seconds": seconds, **compared(
-        mesh, read_city(scene.path / "geometry.json"), scene)}))
+    print(json.dumps({"seconds": seconds, **compared(mesh, read_city(scene.path / "geometry.json"), scene)}))
 
 
 if __name__ == "__main__":

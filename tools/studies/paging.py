@@ -25,8 +25,18 @@ from clsplat.report.page import Table
 from tools.studies.study import flags_after, keep, keeps, markdown, outermost, timed_training
 
 TITLE = "Harmonics in pages"
-HEAD = ("memory budget", "gaussians", "first visits, ms", "ms a step", "with the mean, ms",
-        "all steps, s", "times", "whole command, s", "device memory at most, GiB", "same bytes")
+HEAD = (
+    "memory budget",
+    "gaussians",
+    "first visits, ms",
+    "ms a step",
+    "with the mean, ms",
+    "all steps, s",
+    "times",
+    "whole command, s",
+    "device memory at most, GiB",
+    "same bytes",
+)
 CONFIG = 'engine = "coded"\nsh_every = 1\nlevels = [1.0]\n'
 GIB = 2**30
 
@@ -45,8 +55,7 @@ def step_times(run, photos, steps):
     """Milliseconds of a step: of first visits, of later ones, and while the mean is taken; and
     seconds of all steps."""
     records = list(RunFolder(run).records())
-    times = [(record["iteration"], record["train_seconds"]) for record in records
-             if record["event"] == "step"]
+    times = [(record["iteration"], record["train_seconds"]) for record in records if record["event"] == "step"]
     averaged = (1 - TrainOptions().average) * steps
     parts = [[], [], []]
     for (first, began), (last, ended) in pairwise(times):
@@ -65,15 +74,38 @@ def measured(scene, output, count, steps, budgets, flags):
     rows, first = [], None
     for budget in budgets:
         run = output / budget
-        seconds = timed_training(scene.path, run, [
-            "-n", str(steps), "--init", str(start.resolve()), "--config", str(config.resolve()),
-            "--memory-budget", budget, "--test-every", "none", *flags])
+        seconds = timed_training(
+            scene.path,
+            run,
+            [
+                "-n",
+                str(steps),
+                "--init",
+                str(start.resolve()),
+                "--config",
+                str(config.resolve()),
+                "--memory-budget",
+                budget,
+                "--test-every",
+                "none",
+                *flags,
+            ],
+        )
         *each, whole, peak = step_times(run, len(scene.views), steps)
         model = RunFolder(run).model_path
         first = first or (whole, model)
-        rows.append((budget, f"{count:,}", *(f"{value:.2f}" for value in each), f"{whole:.1f}",
-                     f"{whole / first[0]:.2f}", f"{seconds:.0f}", f"{peak / GIB:.2f}",
-                     "yes" if filecmp.cmp(model, first[1], shallow=False) else "no"))
+        rows.append(
+            (
+                budget,
+                f"{count:,}",
+                *(f"{value:.2f}" for value in each),
+                f"{whole:.1f}",
+                f"{whole / first[0]:.2f}",
+                f"{seconds:.0f}",
+                f"{peak / GIB:.2f}",
+                "yes" if filecmp.cmp(model, first[1], shallow=False) else "no",
+            )
+        )
         print(*rows[-1], sep="  ", flush=True)
     return Table(TITLE, HEAD, rows, range(1, 9), ())
 
@@ -81,8 +113,7 @@ def measured(scene, output, count, steps, budgets, flags):
 def main(argv):
     """Train with each budget and print the table."""
     words, flags = flags_after(argv)
-    parser = argparse.ArgumentParser(description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("output", type=Path)
     parser.add_argument("scene", type=Path)
     parser.add_argument("--gaussians", type=int, default=20_000_000)
@@ -91,12 +122,10 @@ def main(argv):
     keeps(parser)
     options = parser.parse_args(words)
     scene = read_scene(options.scene)
-    table = measured(scene, options.output, options.gaussians, options.steps,
-                     options.budgets.split(","), flags)
+    table = measured(scene, options.output, options.gaussians, options.steps, options.budgets.split(","), flags)
     print(markdown(table))
     device = RunFolder(options.output / options.budgets.split(",")[0]).read_options()
-    keep(options.keep, [table], f"python -m tools.studies.paging {shlex.join(argv)}",
-         device["opencl_device"])
+    keep(options.keep, [table], f"python -m tools.studies.paging {shlex.join(argv)}", device["opencl_device"])
 
 
 if __name__ == "__main__":

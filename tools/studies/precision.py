@@ -60,10 +60,8 @@ class Variant:
 
 DEFAULT = Variant("default", "the default")
 DOUBLE = Variant("precision", "double", precision="double")
-NO_CUTOFF = Variant("reference", "double without cutoff", precision="double",
-                    defines=(("ALPHA_STEPS", NO_STEP),))
-NO_STOP = Variant("reference", "double without stop", precision="double",
-                  defines=(("TRANSMITTANCE_MIN", 0),))
+NO_CUTOFF = Variant("reference", "double without cutoff", precision="double", defines=(("ALPHA_STEPS", NO_STEP),))
+NO_STOP = Variant("reference", "double without stop", precision="double", defines=(("TRANSMITTANCE_MIN", 0),))
 
 # knob -> the default's name, and the kind of its error: see `measured`
 KNOBS = {
@@ -80,18 +78,20 @@ VARIANTS = (
     DOUBLE,
     Variant("exponential", "exp", (("EXP_KIND", 0),)),
     Variant("exponential", "native_exp2", (("EXP_KIND", 1),)),
-    *(Variant("exponential", f"degree {degree}", (("EXP_KIND", degree),))
-      for degree in (3, 4, 5, 6)),
-    *(Variant("compiler flags", flag, flags=(flag,))
-      for flag in ("-cl-mad-enable", "-cl-denorms-are-zero", "-cl-fast-relaxed-math")),
+    *(Variant("exponential", f"degree {degree}", (("EXP_KIND", degree),)) for degree in (3, 4, 5, 6)),
+    *(
+        Variant("compiler flags", flag, flags=(flag,))
+        for flag in ("-cl-mad-enable", "-cl-denorms-are-zero", "-cl-fast-relaxed-math")
+    ),
     Variant("storage", "splats in half", half="splats"),
     Variant("storage", "splats in half, means in float", half="shapes"),
     Variant("storage", "pair sums in half", half="sums"),
     Variant("storage", "pair sums in half, scaled", half="sums", half_scale=2**20),
-    *(Variant("alpha cutoff", f"1/{steps}" if steps < NO_STEP else "none",
-              (("ALPHA_STEPS", steps),)) for steps in (128, 512, NO_STEP)),
-    *(Variant("transmittance stop", name, (("TRANSMITTANCE_MIN", name),))
-      for name in ("1e-2", "1e-3", "0")),
+    *(
+        Variant("alpha cutoff", f"1/{steps}" if steps < NO_STEP else "none", (("ALPHA_STEPS", steps),))
+        for steps in (128, 512, NO_STEP)
+    ),
+    *(Variant("transmittance stop", name, (("TRANSMITTANCE_MIN", name),)) for name in ("1e-2", "1e-3", "0")),
     Variant("tiles", "bounding box", (("BOX_TILES", 1),)),
 )
 
@@ -123,13 +123,13 @@ class VariantDevice(Device):
         in this order.
     """
 
-    def __init__(self, handle: Handle, variant: Variant, form: str = "auto",
-                 depth_keys: NDArray[np.uint32] | None = None) -> None:
+    def __init__(
+        self, handle: Handle, variant: Variant, form: str = "auto", depth_keys: NDArray[np.uint32] | None = None
+    ) -> None:
         super().__init__(handle, variant.precision, form, build_options=variant.flags)
         self.variant, self.depth_keys = variant, depth_keys
 
-    def launch(self, kernel: Kernel, defines: tuple[tuple[str, Any], ...] = (), /,
-               **values: Any) -> None:
+    def launch(self, kernel: Kernel, defines: tuple[tuple[str, Any], ...] = (), /, **values: Any) -> None:
         """The same as `Device.launch`, with the approximation of the variant."""
         half = self.variant.half
         if half == "sums" and kernel.function == "project_adjoint":
@@ -172,24 +172,35 @@ def measured(spec: str, form: str, scene: Scene, repeats: int) -> Iterator[dict[
     handle = choose_device(spec).handle
     devices = Devices(handle, form)
     in_this_order = VariantDevice(handle, DOUBLE, form, Frame(devices[DEFAULT], scene).depth_keys())
-    references = {"rounding": Frame(devices[DOUBLE], scene).result(),
-                  "same_order": Frame(in_this_order, scene).result(),
-                  "no_cutoff": Frame(devices[NO_CUTOFF], scene).result(),
-                  "no_stop": Frame(devices[NO_STOP], scene).result()}
+    references = {
+        "rounding": Frame(devices[DOUBLE], scene).result(),
+        "same_order": Frame(in_this_order, scene).result(),
+        "no_cutoff": Frame(devices[NO_CUTOFF], scene).result(),
+        "no_stop": Frame(devices[NO_STOP], scene).result(),
+    }
     frames = {variant: Frame(devices[variant], scene) for variant in VARIANTS if variant.is_timed}
-    times = dict(zip(frames, map(spread, in_turn(
-        [(frame.device, frame.run) for frame in frames.values()], repeats))))
+    times = dict(zip(frames, map(spread, in_turn([(frame.device, frame.run) for frame in frames.values()], repeats))))
     for variant in VARIANTS:
         frame = frames.get(variant) or Frame(devices[variant], scene)
         result = frame.result()
         gaussians, (camera, *_) = scene
-        yield {"family": "precision", "knob": variant.knob, "variant": variant.name,
-               "form": frame.device.form, "device": frame.device.name,
-               "platform": handle.platform.name.strip(), "driver": handle.driver_version,
-               "size": {"gaussians": gaussians.count, "width": camera.width,
-                        "height": camera.height, "skipped": result["skipped"]},
-               **times.get(variant, {}), **{kind: errors(result, reference)
-                           for kind, reference in references.items()}}
+        yield {
+            "family": "precision",
+            "knob": variant.knob,
+            "variant": variant.name,
+            "form": frame.device.form,
+            "device": frame.device.name,
+            "platform": handle.platform.name.strip(),
+            "driver": handle.driver_version,
+            "size": {
+                "gaussians": gaussians.count,
+                "width": camera.width,
+                "height": camera.height,
+                "skipped": result["skipped"],
+            },
+            **times.get(variant, {}),
+            **{kind: errors(result, reference) for kind, reference in references.items()},
+        }
 
 
 class Frame:
@@ -204,8 +215,7 @@ class Frame:
         self.camera, self.size = self.renderer.pack(camera), (camera.width, camera.height)
         # of random sign, so that sums cancel as they do late in training; as small as a mean's
         shape = (3, camera.height, camera.width)
-        self.grad = device.upload(
-            np.random.default_rng(0).normal(0, 1 / np.prod(shape), shape).astype(np.float32))
+        self.grad = device.upload(np.random.default_rng(0).normal(0, 1 / np.prod(shape), shape).astype(np.float32))
 
     def depth_keys(self) -> NDArray[np.uint32]:
         """The keys uint32[N] by which the gaussians are ordered, 0 for those not visible."""
@@ -238,8 +248,7 @@ class Frame:
             values = gradients.fields[field.name].download()
             full[field.name] = np.zeros((self.count, *values.shape[1:]))
             full[field.name][visible[finite]] = values[finite]
-        return {"image": frame.image.download().astype(np.float64), "gradients": full,
-                "skipped": int((~finite).sum())}
+        return {"image": frame.image.download().astype(np.float64), "gradients": full, "skipped": int((~finite).sum())}
 
 
 def errors(result: dict[str, Any], reference: dict[str, Any]) -> dict[str, Any]:
@@ -261,9 +270,14 @@ def errors(result: dict[str, Any], reference: dict[str, Any]) -> dict[str, Any]:
         gradients[name] = {
             "l2": float(np.linalg.norm(off) / np.linalg.norm(expected)),
             "worst": float(off[place] / np.abs(expected).max()),
-            "element": f"{name}[{', '.join(map(str, place))}]"}
-    return {"image_max": float(image.max()), "image_mean": float(image.mean()),
-            "image_above": float((image > VISIBLE_ERROR).mean()), "gradients": gradients}
+            "element": f"{name}[{', '.join(map(str, place))}]",
+        }
+    return {
+        "image_max": float(image.max()),
+        "image_mean": float(image.mean()),
+        "image_above": float((image > VISIBLE_ERROR).mean()),
+        "gradients": gradients,
+    }
 
 
 def gradient_error(record: dict[str, Any], kind: str) -> float:
@@ -275,8 +289,11 @@ def line(record: dict[str, Any]) -> str:
     """A record as a line of a table, with the worst of the gradients for each kind of error."""
     time = f"{record['median_ms']:9.2f} ms" if "median_ms" in record else f"{'-':>12}"
     kinds = dict.fromkeys(("rounding", KNOBS.get(record["knob"], ("", "no_cutoff"))[1]))
-    texts = [f"{kind}: image {record[kind]['image_max']:.1e}, mean {record[kind]['image_mean']:.1e}"
-             f", gradients {gradient_error(record, kind):.1e}" for kind in kinds]
+    texts = [
+        f"{kind}: image {record[kind]['image_max']:.1e}, mean {record[kind]['image_mean']:.1e}"
+        f", gradients {gradient_error(record, kind):.1e}"
+        for kind in kinds
+    ]
     return f"{record['knob']:18} {record['variant']:30} {time}  {'; '.join(texts)}"
 
 
@@ -292,8 +309,7 @@ def main() -> None:
     options = parser.parse_args()
     for spec in options.device.split(","):
         for count in options.gaussians:
-            for record in measured(spec, options.form, city(count, tuple(options.size)),
-                                   options.repeats):
+            for record in measured(spec, options.form, city(count, tuple(options.size)), options.repeats):
                 print(json.dumps(record) if options.json else line(record), flush=True)
 
 

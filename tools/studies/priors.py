@@ -32,8 +32,14 @@ RELIEF = 6.0  # metres, the height of hills
 KEYPOINT_STD = 0.5  # pixels
 SPACING = 7.0  # metres between points
 TITLE = "Positions of photos as priors"
-HEAD = ("positions", "placed by", "check points along the ground, RMS, m", "height, RMS, m",
-        "worst check point, m", "ends of strips above the middle, m")
+HEAD = (
+    "positions",
+    "placed by",
+    "check points along the ground, RMS, m",
+    "height, RMS, m",
+    "worst check point, m",
+    "ends of strips above the middle, m",
+)
 OUTLIERS, FAR = 0.03, 40.0  # share of the positions, and how far they are wrong, metres
 
 
@@ -49,9 +55,11 @@ class Receiver:
     has_height: bool = True
 
 
-RECEIVERS = {"GPS, 2 m": Receiver((2.0, 2.0, 3.0)),
-             "GPS, 2 m, most of it drift": Receiver((2.0, 2.0, 3.0), 0.8),
-             "RTK, 2 cm, stated": Receiver((0.02, 0.02, 0.03), stated=True)}
+RECEIVERS = {
+    "GPS, 2 m": Receiver((2.0, 2.0, 3.0)),
+    "GPS, 2 m, most of it drift": Receiver((2.0, 2.0, 3.0), 0.8),
+    "RTK, 2 cm, stated": Receiver((0.02, 0.02, 0.03), stated=True),
+}
 
 
 class Strips:
@@ -67,8 +75,9 @@ class Strips:
     def __init__(self, strips=3, photos=60, seed=0):
         rng = np.random.default_rng(seed)
         along, across = STEP * np.arange(photos), ASIDE * np.arange(strips)
-        self.centres = np.array([(x, y, ABOVE) for number, y in enumerate(across)
-                                 for x in (along if number % 2 == 0 else along[::-1])])
+        self.centres = np.array(
+            [(x, y, ABOVE) for number, y in enumerate(across) for x in (along if number % 2 == 0 else along[::-1])]
+        )
         self.centres += rng.normal(0, (1.0, 1.0, 1.0), self.centres.shape)
         # each strip is flown in the opposite direction of its neighbours
         yaw = np.repeat(np.arange(strips) % 2 * np.pi, photos)
@@ -100,7 +109,8 @@ class Strips:
             local = rotation.apply(points - centre)
             pixels = self.lens.img_from_cam(local)
             inside = ((pixels >= 0) & (pixels < (WIDTH, HEIGHT))).all(axis=1) & (
-                np.abs(local[:, :2] / local[:, 2:]).max(axis=1) < 0.6)
+                np.abs(local[:, :2] / local[:, 2:]).max(axis=1) < 0.6
+            )
             noisy = pixels + rng.normal(0, KEYPOINT_STD, pixels.shape)
             for row in np.flatnonzero(inside):
                 found[row][0].append(view)
@@ -112,11 +122,9 @@ class Strips:
         frame: it begins with the true poses and points, a focal length that is wrong by 1 % and no
         distortion, and fits the principal point on request."""
         result = pycolmap.Reconstruction()
-        camera = pycolmap.Camera.create_from_model_name(1, "OPENCV", 1.01 * FOCAL, WIDTH,
-                                                        HEIGHT)
+        camera = pycolmap.Camera.create_from_model_name(1, "OPENCV", 1.01 * FOCAL, WIDTH, HEIGHT)
         result.add_camera_with_trivial_rig(camera)
-        tracks = [(point, views, pixels) for point, (views, pixels)
-                  in zip(self.points, self.tracks) if len(views) >= 3]
+        tracks = [(point, views, pixels) for point, (views, pixels) in zip(self.points, self.tracks) if len(views) >= 3]
         keypoints = [[] for _ in self.centres]
         elements = []
         for _, views, pixels in tracks:
@@ -125,10 +133,10 @@ class Strips:
                 keypoints[view].append(pixel)
         for view, pixels in enumerate(keypoints):
             rotation = self.rotations[view]
-            image = pycolmap.Image(name=self.name(view), keypoints=np.array(pixels), camera_id=1,
-                                   image_id=view + 1)
-            result.add_image_with_trivial_frame(image, pycolmap.Rigid3d(
-                pycolmap.Rotation3d(rotation.as_quat()), -rotation.apply(self.centres[view])))
+            image = pycolmap.Image(name=self.name(view), keypoints=np.array(pixels), camera_id=1, image_id=view + 1)
+            result.add_image_with_trivial_frame(
+                image, pycolmap.Rigid3d(pycolmap.Rotation3d(rotation.as_quat()), -rotation.apply(self.centres[view]))
+            )
         for (point, _, _), places in zip(tracks, elements):
             track = pycolmap.Track()
             for view, index in places:
@@ -138,8 +146,11 @@ class Strips:
         options.print_summary, options.refine_principal_point = False, centre
         pycolmap.bundle_adjustment(result, options)
         result.update_point_3d_errors()
-        result.transform(pycolmap.Sim3d(0.02, pycolmap.Rotation3d(
-            Rotation.from_rotvec((0.4, -0.3, 0.9)).as_quat()), np.array([1.0, 2.0, 3.0])))
+        result.transform(
+            pycolmap.Sim3d(
+                0.02, pycolmap.Rotation3d(Rotation.from_rotvec((0.4, -0.3, 0.9)).as_quat()), np.array([1.0, 2.0, 3.0])
+            )
+        )
         return result
 
     @staticmethod
@@ -155,23 +166,26 @@ class Strips:
         for row in range(count):
             slow[row] = state
             state = 0.97 * state + np.sqrt(1 - 0.97**2) * rng.normal(size=3)
-        noise = (np.sqrt(1 - receiver.drifting) * rng.normal(size=(count, 3))
-                 + np.sqrt(receiver.drifting) * slow) * receiver.std
+        noise = (
+            np.sqrt(1 - receiver.drifting) * rng.normal(size=(count, 3)) + np.sqrt(receiver.drifting) * slow
+        ) * receiver.std
         wrong = rng.choice(count, round(outliers * count), replace=False)
-        noise[wrong] += FAR * Rotation.random(len(wrong), random_state=seed).apply((1, 0, 0)) * (
-            1, 1, 0.5) if len(wrong) else 0
-        places = pycolmap.GPSTransform().utm_to_ellipsoid(
-            ORIGIN + self.centres + noise, 14, True)
-        known = PhotoMetadata(WIDTH, HEIGHT, gps_std=receiver.std if receiver.stated else None,
-                              gimbal_pitch=-90.0, gimbal_roll=0.0)
-        return {self.name(view): replace(
-            known, latitude=place[0], longitude=place[1],
-            altitude=place[2] if receiver.has_height else None)
-            for view, place in enumerate(places)}
+        noise[wrong] += (
+            FAR * Rotation.random(len(wrong), random_state=seed).apply((1, 0, 0)) * (1, 1, 0.5) if len(wrong) else 0
+        )
+        places = pycolmap.GPSTransform().utm_to_ellipsoid(ORIGIN + self.centres + noise, 14, True)
+        known = PhotoMetadata(
+            WIDTH, HEIGHT, gps_std=receiver.std if receiver.stated else None, gimbal_pitch=-90.0, gimbal_roll=0.0
+        )
+        return {
+            self.name(view): replace(
+                known, latitude=place[0], longitude=place[1], altitude=place[2] if receiver.has_height else None
+            )
+            for view, place in enumerate(places)
+        }
 
     def errors(self, reconstruction, offset):
-        """float64[C, 3], metres: the places of the check points by the cameras, less the true ones.
-        """
+        """float64[C, 3], metres: the places of the check points by the cameras, less the true ones."""
         camera, result = reconstruction.cameras[1], []
         for place, (views, pixels) in zip(self.checks, self.marks):
             poses = [reconstruction.images[view + 1].cam_from_world() for view in views]
@@ -196,10 +210,8 @@ def measured(survey, reconstruction, metadata, **options):
 
 def figures(survey, errors):
     """Metres: RMS along the ground and in height, the worst check point, and the bowl."""
-    along, height, whole = (np.linalg.norm(part, axis=1) for part in (
-        errors[:, :2], errors[:, 2:], errors))
-    return (np.sqrt((along**2).mean()), np.sqrt((height**2).mean()), whole.max(),
-            survey.bowl(errors))
+    along, height, whole = (np.linalg.norm(part, axis=1) for part in (errors[:, :2], errors[:, 2:], errors))
+    return (np.sqrt((along**2).mean()), np.sqrt((height**2).mean()), whole.max(), survey.bowl(errors))
 
 
 def table(survey, seeds):
@@ -210,23 +222,32 @@ def table(survey, seeds):
     for name, receiver in RECEIVERS.items():
         known = [survey.metadata(receiver, seed) for seed in range(seeds)]
         for what, reconstruction, adjusts in (
-                ("similarity", free, False), ("priors", free, True),
-                ("similarity, principal point fitted by photos alone", centred, False)):
-            means = np.mean([figures(survey, measured(survey, reconstruction, each,
-                                                      adjusts=adjusts)[0]) for each in known], 0)
+            ("similarity", free, False),
+            ("priors", free, True),
+            ("similarity, principal point fitted by photos alone", centred, False),
+        ):
+            means = np.mean(
+                [figures(survey, measured(survey, reconstruction, each, adjusts=adjusts)[0]) for each in known], 0
+            )
             rows.append((name, what, *(f"{value:.3f}" for value in means)))
             print(*rows[-1], sep="  ", flush=True)
-    return Table(TITLE, HEAD, rows, range(2, 6), (
-        f"A made survey: {len(survey.centres)} photos in strips {ABOVE:.0f} m above the ground, "
-        f"with {100 * OUTLIERS:.0f} % of the positions wrong by {FAR:.0f} m; means of {seeds} "
-        f"draws of the positions, {len(survey.checks)} check points that take no part. Drift: 80 % "
-        "of the variance changes slowly through the flight.",))
+    return Table(
+        TITLE,
+        HEAD,
+        rows,
+        range(2, 6),
+        (
+            f"A made survey: {len(survey.centres)} photos in strips {ABOVE:.0f} m above the ground, "
+            f"with {100 * OUTLIERS:.0f} % of the positions wrong by {FAR:.0f} m; means of {seeds} "
+            f"draws of the positions, {len(survey.checks)} check points that take no part. Drift: 80 % "
+            "of the variance changes slowly through the flight.",
+        ),
+    )
 
 
 def main(argv):
     """Make the survey and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--strips", type=int, default=3)
     parser.add_argument("--photos", type=int, default=60, help="of a strip")
     parser.add_argument("--seeds", type=int, default=4)
@@ -234,8 +255,7 @@ def main(argv):
     options = parser.parse_args(argv)
     made = table(Strips(options.strips, options.photos), options.seeds)
     print(markdown(made))
-    keep(options.keep, [made], f"python -m tools.studies.priors {shlex.join(argv)}".strip(),
-         "two CPU cores")
+    keep(options.keep, [made], f"python -m tools.studies.priors {shlex.join(argv)}".strip(), "two CPU cores")
 
 
 if __name__ == "__main__":

@@ -37,8 +37,9 @@ def seen_pixels(camera, points, cameras):
     places = ((rays * depth - camera.translation) @ camera.rotation).reshape(-1, 3)
     count = sum(other.shows(places).astype(int) for other in cameras)
     seen = np.reshape(count >= LEAST_VIEWS, depth.shape[:2])
-    cells = [np.minimum(np.arange(size) // STEP, cells - 1)
-             for size, cells in zip((camera.height, camera.width), seen.shape)]
+    cells = [
+        np.minimum(np.arange(size) // STEP, cells - 1) for size, cells in zip((camera.height, camera.width), seen.shape)
+    ]
     return seen[np.ix_(*cells)]
 
 
@@ -55,7 +56,16 @@ def further_scores(run, device):
         if seen.any():
             on_seen.append(psnr(fit_colour(image, photo, seen), photo, seen))
 
-    scores = evaluate_views(*run.opened(device, scene), views, keep, {"flip": flip},
-                            predicted_responses(scene.views, read_exposures(run.path)))
-    return {"flip": scores["flip"], "flip_cc": scores["flip_cc"],
-            "psnr_cc_seen": float(np.mean(on_seen)), "seen": float(np.mean(shares))}
+    scores = evaluate_views(
+        *run.opened(device, scene),
+        views,
+        keep,
+        {"flip": flip},
+        predicted_responses(scene.views, read_exposures(run.path)),
+    )
+    return {
+        "flip": scores["flip"],
+        "flip_cc": scores["flip_cc"],
+        "psnr_cc_seen": float(np.mean(on_seen)),
+        "seen": float(np.mean(shares)),
+    }

@@ -43,16 +43,19 @@ def timed_training(scene, run, flags, checkout=None):
     root = Path(checkout or Path(__file__).parents[2]).resolve()
     paths = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])
     begin = time.perf_counter()
-    subprocess.run([sys.executable, "-m", "clsplat", "train", Path(scene).resolve(), "-o",
-                    Path(run).resolve(), "-q", *flags], check=True, cwd=Path(run).resolve().parent,
-                   env={**os.environ, "PYTHONPATH": paths})
+    subprocess.run(
+        [sys.executable, "-m", "clsplat", "train", Path(scene).resolve(), "-o", Path(run).resolve(), "-q", *flags],
+        check=True,
+        cwd=Path(run).resolve().parent,
+        env={**os.environ, "PYTHONPATH": paths},
+    )
     return time.perf_counter() - begin
 
 
 def flags_after(argv):
     """The words of a command before --, and those after it, flags of `clsplat train`."""
     cut = argv.index("--") if "--" in argv else len(argv)
-    return argv[:cut], argv[cut + 1:]
+    return argv[:cut], argv[cut + 1 :]
 
 
 def cell(value, deviation, digits, sign=""):
@@ -65,8 +68,10 @@ def cell(value, deviation, digits, sign=""):
 
 def markdown(table):
     """A `report.page.Table` as Markdown."""
+
     def row(cells):
         return f"| {' | '.join(text.replace('|', '/') for text in cells)} |"
+
     rule = [("---:" if column in table.numbers else "---") for column in range(len(table.head))]
     lines = [row(table.head), row(rule), *map(row, table.rows)]
     return "\n\n".join([f"### {table.title}", "\n".join(lines), *table.notes])
@@ -74,8 +79,11 @@ def markdown(table):
 
 def keeps(parser):
     """Add the argument that makes evidence of a study's tables."""
-    parser.add_argument("--keep", metavar="PAGE", help="put the tables into the results of this "
-                        "page of the evidence, in place of those with their titles")
+    parser.add_argument(
+        "--keep",
+        metavar="PAGE",
+        help="put the tables into the results of this page of the evidence, in place of those with their titles",
+    )
 
 
 def keep(page, tables, command, device):
@@ -94,14 +102,20 @@ def keep(page, tables, command, device):
     path = RESULTS / f"{page}.jsonl"
     head, *blocks = blocks_of(path.read_text("utf-8").splitlines())
     for table in tables:
-        facts = {"table": table.title, "date": date.today().isoformat(),
-                 "commit": (checkout_commit() or "unknown")[:7], "device": device,
-                 "command": command, "source": "this command", "text": " ".join(table.notes)}
+        facts = {
+            "table": table.title,
+            "date": date.today().isoformat(),
+            "commit": (checkout_commit() or "unknown")[:7],
+            "device": device,
+            "command": command,
+            "source": "this command",
+            "text": " ".join(table.notes),
+        }
         rows = [dict(zip(table.head, row)) for row in table.rows]
-        place = next((number for number, block in enumerate(blocks)
-                      if json.loads(block[0])["table"] == table.title), len(blocks))
-        blocks[place:place + 1] = [[json.dumps(line, ensure_ascii=False)
-                                    for line in (facts, *rows)]]
+        place = next(
+            (number for number, block in enumerate(blocks) if json.loads(block[0])["table"] == table.title), len(blocks)
+        )
+        blocks[place : place + 1] = [[json.dumps(line, ensure_ascii=False) for line in (facts, *rows)]]
     path.write_text("\n".join(line for block in (head, *blocks) for line in block) + "\n", "utf-8")
 
 
@@ -118,8 +132,9 @@ def blocks_of(lines):
 def refuse(failed):
     """Raise InputError if runs failed; called after everything else is written."""
     if failed:
-        raise InputError(f"{', '.join(map(str, failed))}: failed for the reasons above; the same "
-                         "command tries them again")
+        raise InputError(
+            f"{', '.join(map(str, failed))}: failed for the reasons above; the same command tries them again"
+        )
 
 
 def outermost(main):

@@ -25,9 +25,22 @@ from tools.studies.study import cell, flags_after, keep, keeps, markdown, outerm
 
 TITLE = "Made surveys as cities"
 STAGES = ("coarse run", "dense points", "cut", "blocks", "merge", "evaluation")
-HEAD = ("photos", "devices", "schedule", "whole, s", *(f"{stage}, s" for stage in STAGES),
-        "cc, dB", "worst seam, dB", "gaussians, M", "largest block, M", "its device, GiB",
-        "training on devices, s", "devices' load", "host at most, GiB", "disk, GB")
+HEAD = (
+    "photos",
+    "devices",
+    "schedule",
+    "whole, s",
+    *(f"{stage}, s" for stage in STAGES),
+    "cc, dB",
+    "worst seam, dB",
+    "gaussians, M",
+    "largest block, M",
+    "its device, GiB",
+    "training on devices, s",
+    "devices' load",
+    "host at most, GiB",
+    "disk, GB",
+)
 GIB, SAMPLE_SECONDS = 2**30, 2.0
 MEMORY = Path("/proc/meminfo")
 
@@ -58,8 +71,7 @@ class Watched:
         while not self._ended.wait(SAMPLE_SECONDS):
             self.host = max(self.host, used_memory() - self._before)
             loads = device_loads()
-            chosen = [loads[int(each)] for each in self.devices.split(",")
-                      if each.isdigit() and int(each) < len(loads)]
+            chosen = [loads[int(each)] for each in self.devices.split(",") if each.isdigit() and int(each) < len(loads)]
             self.loads += [sum(chosen) / len(chosen)] if chosen else []
 
 
@@ -67,16 +79,20 @@ def used_memory():
     """Bytes of the host's memory that are in use; 0 where that is not known."""
     if not MEMORY.exists():
         return 0
-    values = {name: int(value.split()[0]) for name, value in
-              (line.split(":") for line in MEMORY.read_text().splitlines())}
+    values = {
+        name: int(value.split()[0]) for name, value in (line.split(":") for line in MEMORY.read_text().splitlines())
+    }
     return 1024 * (values["MemTotal"] - values["MemAvailable"])
 
 
 def device_loads():
     """Per cent of the time in which each NVIDIA device works; none without nvidia-smi."""
     try:
-        text = subprocess.run(["nvidia-smi", "--query-gpu=utilization.gpu",
-                               "--format=csv,noheader,nounits"], capture_output=True, text=True)
+        text = subprocess.run(
+            ["nvidia-smi", "--query-gpu=utilization.gpu", "--format=csv,noheader,nounits"],
+            capture_output=True,
+            text=True,
+        )
     except OSError:
         return []
     return [float(line) for line in text.stdout.split()] if text.returncode == 0 else []
@@ -86,22 +102,23 @@ def trained(folder, words, devices, limit):
     """Run a command of clsplat that trains in a folder, unless it has finished; its record, with
     the seconds of all commands so far. What it prints goes to FOLDER.log."""
     path = folder.with_suffix(".json")
-    record = json.loads(path.read_text()) if path.exists() else {
-        "seconds": 0.0, "host": 0, "loads": [], "done": False}
+    record = json.loads(path.read_text()) if path.exists() else {"seconds": 0.0, "host": 0, "loads": [], "done": False}
     if record["done"]:
         return record
     begin = time.perf_counter()
     with open(folder.with_suffix(".log"), "ab") as log, Watched(devices) as watched:
-        process = subprocess.Popen([sys.executable, "-m", "clsplat", *words],
-                                   stdout=log, stderr=log)
+        process = subprocess.Popen([sys.executable, "-m", "clsplat", *words], stdout=log, stderr=log)
         try:
             process.wait(limit)
         except subprocess.TimeoutExpired:
             process.terminate()  # it saves its state
             process.wait()
-    record = {"seconds": record["seconds"] + time.perf_counter() - begin,
-              "host": max(record["host"], watched.host), "loads": record["loads"] + watched.loads,
-              "done": process.returncode == 0}
+    record = {
+        "seconds": record["seconds"] + time.perf_counter() - begin,
+        "host": max(record["host"], watched.host),
+        "loads": record["loads"] + watched.loads,
+        "done": process.returncode == 0,
+    }
     path.write_text(json.dumps(record))
     return record
 
@@ -120,10 +137,12 @@ def row_of(folder, photos, devices, schedule, record):
     last = {each["event"]: each for each in whole.records()}
     each = [run.records() for run in runs or [whole]]
     trainings = each if not runs else [*each, coarse.records()]
-    disk = sum(path.stat().st_size for path in folder.rglob("*")
-               if path.is_file() and not path.is_symlink())
+    disk = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
     cells = (
-        f"{photos:,}", devices, schedule, f"{record['seconds']:.0f}",
+        f"{photos:,}",
+        devices,
+        schedule,
+        f"{record['seconds']:.0f}",
         *(f"{spent[stage]:.0f}" if stages else "" for stage in STAGES),
         cell(last.get("eval", {}).get("psnr_cc"), None, 2),
         cell(last.get("seams", {}).get("worst_seam_db"), None, 2),
@@ -132,7 +151,9 @@ def row_of(folder, photos, devices, schedule, record):
         cell(max(most(records, "peak_bytes") for records in each) / GIB, None, 1),
         cell(sum(most(records, "train_seconds") for records in trainings), None, 0),
         f"{sum(record['loads']) / len(record['loads']):.0f} %" if record["loads"] else "",
-        cell(record["host"] / GIB, None, 1), cell(disk / 1e9, None, 1))
+        cell(record["host"] / GIB, None, 1),
+        cell(disk / 1e9, None, 1),
+    )
     print(*cells, sep="  ", flush=True)
     return cells
 
@@ -154,8 +175,7 @@ def most(records, key):
 def main(argv):
     """Draw surveys, train what is not finished, and print the table."""
     words, flags = flags_after(argv)
-    parser = argparse.ArgumentParser(description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("output", type=Path)
     parser.add_argument("--photos", default="400,1600")
     parser.add_argument("--size", default="1152x864")
@@ -171,9 +191,24 @@ def main(argv):
     for photos in map(int, options.photos.split(",")):
         scene = options.output / f"survey-{photos}"
         if not scene.exists():
-            subprocess.run([sys.executable, "-m", "tools.synth", scene, "--large", "--views",
-                            str(photos), "--size", options.size, "--drift", "0.15", "--device",
-                            options.devices[0].split(",")[0]], check=True)
+            subprocess.run(
+                [
+                    sys.executable,
+                    "-m",
+                    "tools.synth",
+                    scene,
+                    "--large",
+                    "--views",
+                    str(photos),
+                    "--size",
+                    options.size,
+                    "--drift",
+                    "0.15",
+                    "--device",
+                    options.devices[0].split(",")[0],
+                ],
+                check=True,
+            )
         for devices in options.devices:
             for schedule in options.schedules.split(","):
                 kinds = {"city": flags, **({"train": []} if options.one_run else {})}
@@ -182,12 +217,28 @@ def main(argv):
                         continue
                     on = devices if kind == "city" else devices.split(",")[0]
                     folder = options.output / f"{kind}-{photos}-{on.replace(',', '+')}-{schedule}"
-                    record = trained(folder, [kind, str(scene), "-o", str(folder), "--schedule",
-                                              schedule, "-n", options.steps, "--device", on,
-                                              *more], on, options.limit)
+                    record = trained(
+                        folder,
+                        [
+                            kind,
+                            str(scene),
+                            "-o",
+                            str(folder),
+                            "--schedule",
+                            schedule,
+                            "-n",
+                            options.steps,
+                            "--device",
+                            on,
+                            *more,
+                        ],
+                        on,
+                        options.limit,
+                    )
                     if record["done"]:
-                        rows.append(row_of(folder, photos, on, f"{schedule}, one run" if
-                                           kind == "train" else schedule, record))
+                        rows.append(
+                            row_of(folder, photos, on, f"{schedule}, one run" if kind == "train" else schedule, record)
+                        )
                     else:
                         print(f"{folder}: not finished after {record['seconds']:.0f} s")
     table = Table(TITLE, HEAD, rows, range(3, len(HEAD)), (f"Photos of {options.size} pixels.",))

@@ -21,8 +21,11 @@ from tools.synth.city import KINDS, UNIT_METRES, from_above, read_city
 def errors_of(values):
     """Absolute errors in metres: median, 95 % and root mean square."""
     found = UNIT_METRES * np.abs(values)
-    return {"median": float(np.median(found)), "p95": float(np.quantile(found, 0.95)),
-            "rms": float(np.sqrt(np.mean(found**2)))}
+    return {
+        "median": float(np.median(found)),
+        "p95": float(np.quantile(found, 0.95)),
+        "rms": float(np.sqrt(np.mean(found**2))),
+    }
 
 
 def compared(folder, city):
@@ -36,17 +39,19 @@ def compared(folder, city):
     heights, solids = from_above(city, x, y)
     used = np.isfinite(surface) & (np.abs(x) < city.extent[0]) & (np.abs(y) < city.extent[1])
     buildings = np.isin(solids, 1 + np.flatnonzero(city.kinds == KINDS.index("building")))
-    return {"pixel": place.a * UNIT_METRES, "surface": errors_of((surface - heights)[used]),
-            "terrain": errors_of(terrain[used]),
-            "beneath_buildings": errors_of(terrain[used & buildings]),
-            "ground_right": float((ground > 0)[used & (solids == 0)].mean()),
-            "building_right": float((ground == 0)[used & buildings].mean())}
+    return {
+        "pixel": place.a * UNIT_METRES,
+        "surface": errors_of((surface - heights)[used]),
+        "terrain": errors_of(terrain[used]),
+        "beneath_buildings": errors_of(terrain[used & buildings]),
+        "ground_right": float((ground > 0)[used & (solids == 0)].mean()),
+        "building_right": float((ground == 0)[used & buildings].mean()),
+    }
 
 
 def main():
     """Print the scores of a map."""
-    parser = argparse.ArgumentParser(description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("map", type=Path)
     parser.add_argument("scene", type=Path, help="the made city")
     given = parser.parse_args()

@@ -36,10 +36,15 @@ def trained(scene, steps, flags):
         seconds = timed_training(scene, run, [*length, *flags])
         records = list(RunFolder(run).records())
         scores = [record for record in records if record["event"] == "eval"][-1]
-        return {"cc_psnr": scores["psnr_cc"], "psnr": scores["psnr"], "ssim": scores["ssim"],
-                "gaussians": scores["gaussians"], "process_seconds": seconds,
-                "spent": records[-1].get("seconds"),
-                "device": RunFolder(run).read_options()["opencl_device"]}
+        return {
+            "cc_psnr": scores["psnr_cc"],
+            "psnr": scores["psnr"],
+            "ssim": scores["ssim"],
+            "gaussians": scores["gaussians"],
+            "process_seconds": seconds,
+            "spent": records[-1].get("seconds"),
+            "device": RunFolder(run).read_options()["opencl_device"],
+        }
 
 
 def peer_trained(command, scene, steps):
@@ -47,8 +52,7 @@ def peer_trained(command, scene, steps):
     begin = time.perf_counter()
     words = shlex.split(command.format(scene=scene, steps=steps))
     printed = subprocess.run(words, check=True, stdout=subprocess.PIPE, text=True).stdout
-    return {"process_seconds": time.perf_counter() - begin,
-            **json.loads(printed.strip().splitlines()[-1])}
+    return {"process_seconds": time.perf_counter() - begin, **json.loads(printed.strip().splitlines()[-1])}
 
 
 def within(results, seconds):
@@ -64,14 +68,25 @@ def budget_table(results, names, scenes, budgets):
         for budget in budgets:
             best = [within(results[name, scene], budget) for scene in scenes]
             found = [each for each in best if each]
-            means = [np.mean([each[score] for each in found]) if found else np.nan
-                     for score in SCORES]
-            rows.append((name, f"{budget:g}", f"{len(found)} of {len(scenes)}",
-                         *(cell(mean, None, digits) for mean, digits in zip(means, (2, 2, 4)))))
-    return Table("What a user has after so many seconds", (
-        "program", "seconds", "sets with a model", "PSNR cc", "PSNR", "SSIM"), rows, range(1, 6), (
-        "Means over the sets that have a model, of the best training that ended by then; seconds "
-        "are those of the whole process, from its start to its last file.",))
+            means = [np.mean([each[score] for each in found]) if found else np.nan for score in SCORES]
+            rows.append(
+                (
+                    name,
+                    f"{budget:g}",
+                    f"{len(found)} of {len(scenes)}",
+                    *(cell(mean, None, digits) for mean, digits in zip(means, (2, 2, 4))),
+                )
+            )
+    return Table(
+        "What a user has after so many seconds",
+        ("program", "seconds", "sets with a model", "PSNR cc", "PSNR", "SSIM"),
+        rows,
+        range(1, 6),
+        (
+            "Means over the sets that have a model, of the best training that ended by then; seconds "
+            "are those of the whole process, from its start to its last file.",
+        ),
+    )
 
 
 def race_table(results, names, scenes):
@@ -82,20 +97,32 @@ def race_table(results, names, scenes):
             last = results[name, scene][-1]
             reached = [each for each in results[OURS, scene] if each["cc_psnr"] >= last["cc_psnr"]]
             first = min((each["process_seconds"] for each in reached), default=np.nan)
-            rows.append((name, Path(scene).name, cell(last["cc_psnr"], None, 2),
-                         cell(last["process_seconds"], None, 1), cell(first, None, 1),
-                         cell(first / last["process_seconds"], None, 2)))
-    return Table("Until clsplat has what a peer ends with", (
-        "peer", "set", "its PSNR cc", "its seconds", "clsplat's seconds", "ratio"), rows,
-        range(2, 6), ("The shortest training of clsplat that ends with at least the peer's score; "
-                      "-: none of those that were tried.",))
+            rows.append(
+                (
+                    name,
+                    Path(scene).name,
+                    cell(last["cc_psnr"], None, 2),
+                    cell(last["process_seconds"], None, 1),
+                    cell(first, None, 1),
+                    cell(first / last["process_seconds"], None, 2),
+                )
+            )
+    return Table(
+        "Until clsplat has what a peer ends with",
+        ("peer", "set", "its PSNR cc", "its seconds", "clsplat's seconds", "ratio"),
+        rows,
+        range(2, 6),
+        (
+            "The shortest training of clsplat that ends with at least the peer's score; "
+            "-: none of those that were tried.",
+        ),
+    )
 
 
 def main(argv):
     """Train what is missing, and write the page."""
     words, flags = flags_after(argv)
-    parser = argparse.ArgumentParser(description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("scenes", nargs="+", metavar="SCENE")
     parser.add_argument("--steps", default="500,1500,auto")
@@ -114,8 +141,12 @@ def main(argv):
                 made = next((each for each in known if key.items() <= each.items()), None)
                 if made is None:
                     try:
-                        made = {**key, **(trained(scene, steps, flags) if command is None else
-                                          peer_trained(command, scene, steps))}
+                        made = {
+                            **key,
+                            **(
+                                trained(scene, steps, flags) if command is None else peer_trained(command, scene, steps)
+                            ),
+                        }
                     except subprocess.CalledProcessError:
                         failed.append(" ".join(key.values()))
                         continue
@@ -124,13 +155,16 @@ def main(argv):
                 results.setdefault((name, scene), []).append(made)
     names = [name for name, _, _ in programs]
     whole = [scene for scene in options.scenes if all((name, scene) in results for name in names)]
-    tables = [budget_table(results, names, whole,
-                           list(map(float, options.budgets.split(","))))]
+    tables = [budget_table(results, names, whole, list(map(float, options.budgets.split(","))))]
     if options.peer:
         tables.append(race_table(results, names, whole))
     (options.out / "waiting.md").write_text("\n\n".join(map(markdown, tables)) + "\n")
-    keep(options.keep, tables, f"python -m tools.studies.waiting {shlex.join(argv)}",
-         " / ".join({made["device"] for scene in whole for made in results[OURS, scene]}))
+    keep(
+        options.keep,
+        tables,
+        f"python -m tools.studies.waiting {shlex.join(argv)}",
+        " / ".join({made["device"] for scene in whole for made in results[OURS, scene]}),
+    )
     refuse(failed)
 
 

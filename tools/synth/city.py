@@ -52,7 +52,7 @@ def lay_out(blocks: tuple[int, int] = (2, 2), seed: int = 0, small: bool = False
     builder = _Builder(np.random.default_rng([seed, 1]))
     parks = np.zeros(blocks, bool)
     if parks.size > 1:
-        parks.flat[builder.rng.permutation(parks.size)[:max(1, parks.size // 6)]] = True
+        parks.flat[builder.rng.permutation(parks.size)[: max(1, parks.size // 6)]] = True
     for place in np.ndindex(*blocks):
         centre = (np.array(place) - (np.array(blocks) - 1) / 2) * BLOCK_WIDTH
         (builder.park if parks[place] else builder.houses)(centre)
@@ -60,17 +60,21 @@ def lay_out(blocks: tuple[int, int] = (2, 2), seed: int = 0, small: bool = False
     builder.outskirts(blocks)
     for axis in (0, 1):
         for line in range(blocks[axis] + 1):
-            builder.cars(axis, (line - blocks[axis] / 2) * BLOCK_WIDTH,
-                         blocks[1 - axis] * BLOCK_WIDTH / 2)
+            builder.cars(axis, (line - blocks[axis] / 2) * BLOCK_WIDTH, blocks[1 - axis] * BLOCK_WIDTH / 2)
     if small:
         builder.rng = np.random.default_rng([seed, 5])  # the other solids stay as they are
         builder.roof_parts()
         for place in np.ndindex(*blocks):
             builder.street_parts((np.array(place) - (np.array(blocks) - 1) / 2) * BLOCK_WIDTH)
     # rounded, so that geometry.json has exactly the numbers that were rendered
-    return City(seed, blocks, parks, np.round(np.array(builder.boxes), 3),
-                np.array([KINDS.index(kind) for kind in builder.kinds]),
-                np.round(np.array(builder.spheres).reshape(-1, 4), 3))
+    return City(
+        seed,
+        blocks,
+        parks,
+        np.round(np.array(builder.boxes), 3),
+        np.array([KINDS.index(kind) for kind in builder.kinds]),
+        np.round(np.array(builder.spheres).reshape(-1, 4), 3),
+    )
 
 
 class _Builder:
@@ -82,8 +86,7 @@ class _Builder:
         self.kinds: list[str] = []
         self.spheres: list[list[float]] = []
 
-    def box(self, kind: str, centre: NDArray[np.float64], half: NDArray[np.float64], top: float
-            ) -> None:
+    def box(self, kind: str, centre: NDArray[np.float64], half: NDArray[np.float64], top: float) -> None:
         self.kinds.append(kind)
         self.boxes.append([[*(centre - half), 0.0], [*(centre + half), top]])
 
@@ -91,11 +94,10 @@ class _Builder:
         """A block of four lots, each with a building or sometimes a small garden."""
         cut = self.rng.uniform(-0.25, 0.25, 3) * INNER
         first = self.rng.integers(0, 2)  # the axis of the cut that crosses the whole block
-        gardens = self.rng.permutation(4)[:self.rng.integers(0, 2)]
+        gardens = self.rng.permutation(4)[: self.rng.integers(0, 2)]
         for lot in range(4):
             low, high = np.full(2, -INNER), np.full(2, INNER)
-            for axis, at, upper in ((first, cut[0], lot & 1), (1 - first, cut[1 + (lot & 1)],
-                                                               lot >> 1)):
+            for axis, at, upper in ((first, cut[0], lot & 1), (1 - first, cut[1 + (lot & 1)], lot >> 1)):
                 (low if upper else high)[axis] = at
             low, high = low + 0.4, high - 0.4
             middle, half = centre + (low + high) / 2, (high - low) / 2
@@ -155,8 +157,9 @@ class _Builder:
         for turn in range(4):
             out = angle + turn * np.pi / 2 + self.rng.uniform(-0.4, 0.4)
             offset = radius * 0.55 * np.array([np.cos(out), np.sin(out)])
-            self.spheres.append([*(place + offset), height + self.rng.uniform(-0.2, 0.2) * radius,
-                                 radius * self.rng.uniform(0.5, 0.65)])
+            self.spheres.append(
+                [*(place + offset), height + self.rng.uniform(-0.2, 0.2) * radius, radius * self.rng.uniform(0.5, 0.65)]
+            )
 
     def cars(self, axis: int, line: float, reach: float) -> None:
         """Parked cars on both sides of the street along the other axis at coordinate `line`."""
@@ -199,8 +202,7 @@ class _Builder:
             self.box("part", place, self.rng.uniform(0.06, 0.25, 2), self.rng.uniform(0.1, 0.3))
         for _ in range(10):
             radius = self.rng.uniform(0.12, 0.4)
-            self.spheres.append([*(centre + self.rng.uniform(-0.95, 0.95, 2) * INNER),
-                                 0.5 * radius, radius])
+            self.spheres.append([*(centre + self.rng.uniform(-0.95, 0.95, 2) * INNER), 0.5 * radius, radius])
 
 
 def sample(city: City, count: int, margin: float, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -208,8 +210,9 @@ def sample(city: City, count: int, margin: float, rng: np.random.Generator) -> N
     return sample_solids(city, count, margin, rng)[0]
 
 
-def sample_solids(city: City, count: int, margin: float, rng: np.random.Generator
-                  ) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
+def sample_solids(
+    city: City, count: int, margin: float, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
     """Sample points uniformly from the area of all surfaces, of ground that reaches by `margin`,
     world units, beyond the built area.
 
@@ -219,10 +222,10 @@ def sample_solids(city: City, count: int, margin: float, rng: np.random.Generato
     """
     size = city.boxes[:, 1] - city.boxes[:, 0]
     ground = city.extent + margin
-    faces = np.stack([size[:, 1] * size[:, 2], size[:, 0] * size[:, 2],
-                      size[:, 0] * size[:, 1] / 2], axis=1) * 2  # x sides, y sides, the top
-    areas = np.concatenate([[4 * ground.prod()], faces.ravel(),
-                            4 * np.pi * city.spheres[:, 3] ** 2])
+    faces = (
+        np.stack([size[:, 1] * size[:, 2], size[:, 0] * size[:, 2], size[:, 0] * size[:, 1] / 2], axis=1) * 2
+    )  # x sides, y sides, the top
+    areas = np.concatenate([[4 * ground.prod()], faces.ravel(), 4 * np.pi * city.spheres[:, 3] ** 2])
     chosen = rng.choice(len(areas), size=count, p=areas / areas.sum())
     unit = rng.random((count, 3))
     side = rng.integers(0, 2, count)
@@ -254,8 +257,10 @@ def geometry_json(city: City, gains: NDArray[np.float64] | None = None) -> str:
         "blocks": list(city.blocks),
         "ground_extent": [(-city.extent).tolist(), city.extent.tolist()],
         "parks": city.parks.astype(int).tolist(),
-        "boxes": [{"kind": KINDS[kind], "low": low.tolist(), "high": high.tolist()}
-                  for kind, (low, high) in zip(city.kinds, city.boxes)],
+        "boxes": [
+            {"kind": KINDS[kind], "low": low.tolist(), "high": high.tolist()}
+            for kind, (low, high) in zip(city.kinds, city.boxes)
+        ],
         "spheres": [{"centre": row[:3].tolist(), "radius": row[3]} for row in city.spheres],
         **({} if gains is None else {"gains": gains.tolist()}),
     }
@@ -267,24 +272,27 @@ def read_city(path: Path) -> City:
     """The city of a `geometry.json`."""
     table = json.loads(path.read_text("utf-8"))
     return City(
-        table["seed"], tuple(table["blocks"]), np.array(table["parks"], bool),
+        table["seed"],
+        tuple(table["blocks"]),
+        np.array(table["parks"], bool),
         np.array([[box["low"], box["high"]] for box in table["boxes"]]),
         np.array([KINDS.index(box["kind"]) for box in table["boxes"]]),
-        np.array([[*ball["centre"], ball["radius"]] for ball in table["spheres"]]).reshape(-1, 4))
+        np.array([[*ball["centre"], ball["radius"]] for ball in table["spheres"]]).reshape(-1, 4),
+    )
 
 
-def from_above(city: City, x: NDArray[np.float64], y: NDArray[np.float64]
-               ) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
+def from_above(
+    city: City, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
     """Heights of the surface at places [...], as seen from straight above, and the solids seen
     there: 0 for the ground, then the boxes, then the spheres."""
     heights, solids = np.zeros(x.shape), np.zeros(x.shape, int)
     for number, solid in enumerate([*city.boxes, *city.spheres], 1):
         if solid.ndim == 2:
-            inside = ((solid[0, 0] <= x) & (x <= solid[1, 0])
-                      & (solid[0, 1] <= y) & (y <= solid[1, 1]))
+            inside = (solid[0, 0] <= x) & (x <= solid[1, 0]) & (solid[0, 1] <= y) & (y <= solid[1, 1])
             tops = np.where(inside, solid[1, 2], 0)
         else:
-            beneath = solid[3]**2 - (x - solid[0])**2 - (y - solid[1])**2
+            beneath = solid[3] ** 2 - (x - solid[0]) ** 2 - (y - solid[1]) ** 2
             tops = np.where(beneath > 0, solid[2] + np.sqrt(np.maximum(beneath, 0)), 0)
         solids[tops > heights] = number
         np.maximum(heights, tops, out=heights)
@@ -297,8 +305,9 @@ def distances(city: City, points: NDArray[np.float64]) -> NDArray[np.float64]:
     nearest = points[:, 2].copy()
     for low, high in city.boxes:
         beyond = np.maximum(low - points, points - high)
-        np.minimum(nearest, np.linalg.norm(np.maximum(beyond, 0), axis=1)
-                   + np.minimum(beyond.max(axis=1), 0), out=nearest)
+        np.minimum(
+            nearest, np.linalg.norm(np.maximum(beyond, 0), axis=1) + np.minimum(beyond.max(axis=1), 0), out=nearest
+        )
     for *centre, radius in city.spheres:
         np.minimum(nearest, np.linalg.norm(points - centre, axis=1) - radius, out=nearest)
     return nearest

@@ -43,9 +43,17 @@ class Survey(NamedTuple):
     observations: int
 
 
-def synthesise_large(folder: str | Path, device: Device, views: int, size: tuple[int, int],
-                     pixel: float, blocks: tuple[int, int] | None = None,
-                     points: int | None = None, drift: float = 0.0, seed: int = 0) -> Survey:
+def synthesise_large(
+    folder: str | Path,
+    device: Device,
+    views: int,
+    size: tuple[int, int],
+    pixel: float,
+    blocks: tuple[int, int] | None = None,
+    points: int | None = None,
+    drift: float = 0.0,
+    seed: int = 0,
+) -> Survey:
     """Make a large city, draw its photos and write the scene, with GPS in the photos; the same
     arguments give the same bytes on one device.
 
@@ -72,21 +80,33 @@ def synthesise_large(folder: str | Path, device: Device, views: int, size: tuple
     digits = max(3, len(str(views - 1)))
     with new_folder(Path(folder)) as folder:
         make_folder(folder / "images")
-        (folder / "geometry.json").write_text(geometry_json(city, light if drift else None),
-                                              "utf-8", newline="\n")
+        (folder / "geometry.json").write_text(geometry_json(city, light if drift else None), "utf-8", newline="\n")
         names = [f"{number:0{digits}d}.jpg" for number in range(views)]
-        photos = [View(name, camera, folder / "images" / name)
-                  for name, camera in zip(names, cameras)]
+        photos = [View(name, camera, folder / "images" / name) for name, camera in zip(names, cameras)]
         _write_photos(drawn, folder / "images", photos, light, _positions(cameras, seed))
-        write_colmap(folder / "sparse" / "0", photos, sparse.points, sparse.colours,
-                     np.column_stack([sparse.point, sparse.view]), sparse.pixels)
-    return Survey(city.blocks, pixel, overlap_of(city, views, *size, pixel),
-                  len(city.boxes) + len(city.spheres), len(sparse.points), len(sparse.point))
+        write_colmap(
+            folder / "sparse" / "0",
+            photos,
+            sparse.points,
+            sparse.colours,
+            np.column_stack([sparse.point, sparse.view]),
+            sparse.pixels,
+        )
+    return Survey(
+        city.blocks,
+        pixel,
+        overlap_of(city, views, *size, pixel),
+        len(city.boxes) + len(city.spheres),
+        len(sparse.points),
+        len(sparse.point),
+    )
 
 
-def _write_photos(drawn: DeviceCity, folder: Path, photos: list[View],
-                  light: NDArray[np.float64], positions: list[Attributes]) -> None:
+def _write_photos(
+    drawn: DeviceCity, folder: Path, photos: list[View], light: NDArray[np.float64], positions: list[Attributes]
+) -> None:
     """Draw photos one after the other, while threads encode those before."""
+
     def drawing() -> Iterator[tuple[View, Reading, Attributes]]:
         for photo, factors, position in zip(photos, light, positions):
             yield photo, drawn.photo(photo.camera, factors), position
@@ -105,11 +125,19 @@ def _positions(cameras: list[Camera], seed: int) -> list[Attributes]:
     metres = np.array([camera.position for camera in cameras]) * UNIT_METRES + ORIGIN
     metres += rng.normal(size=metres.shape) * GPS_NOISE
     degrees = conversion(CRS, WGS84, "GPS")(metres[:, :2])
-    return [{"Make": "clsplat", "Model": "synth", "GPS:LatitudeRef": "N",
-             "GPS:Latitude": _sexagesimal(latitude), "GPS:LongitudeRef": "E",
-             "GPS:Longitude": _sexagesimal(longitude), "GPS:AltitudeRef": 0,
-             "GPS:Altitude": float(height)}
-            for (longitude, latitude), height in zip(degrees, metres[:, 2])]
+    return [
+        {
+            "Make": "clsplat",
+            "Model": "synth",
+            "GPS:LatitudeRef": "N",
+            "GPS:Latitude": _sexagesimal(latitude),
+            "GPS:LongitudeRef": "E",
+            "GPS:Longitude": _sexagesimal(longitude),
+            "GPS:AltitudeRef": 0,
+            "GPS:Altitude": float(height),
+        }
+        for (longitude, latitude), height in zip(degrees, metres[:, 2])
+    ]
 
 
 def _sexagesimal(degrees: float) -> tuple[float, float, float]:

@@ -48,8 +48,9 @@ def _rectangles(city: City, camera: Camera) -> NDArray[np.float64]:
     return rectangles
 
 
-def _meet_box(box: NDArray[np.float64], origin: NDArray[np.float64],
-              direction: NDArray[np.float64]) -> NDArray[np.float64]:
+def _meet_box(
+    box: NDArray[np.float64], origin: NDArray[np.float64], direction: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """The ray parameter [N] at which rays enter a box; NO_HIT if they miss it or start inside."""
     inverse = 1 / np.where(direction == 0, 1e-12, direction)
     first, second = (box[0] - origin) * inverse, (box[1] - origin) * inverse
@@ -58,8 +59,9 @@ def _meet_box(box: NDArray[np.float64], origin: NDArray[np.float64],
     return np.where((enter <= leave) & (enter > 0), enter, NO_HIT)
 
 
-def _meet_sphere(sphere: NDArray[np.float64], origin: NDArray[np.float64],
-                 direction: NDArray[np.float64]) -> NDArray[np.float64]:
+def _meet_sphere(
+    sphere: NDArray[np.float64], origin: NDArray[np.float64], direction: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """As `_meet_box`, for a sphere (centre, radius); directions may have any length."""
     offset = origin - sphere[:3]
     a = (direction * direction).sum(axis=1)
@@ -70,9 +72,13 @@ def _meet_sphere(sphere: NDArray[np.float64], origin: NDArray[np.float64],
     return np.where((root > 0) & (enter > 0), enter, NO_HIT)
 
 
-def _nearest(city: City, origins: NDArray[np.float64], directions: NDArray[np.float64],
-             places: NDArray[np.float64], rectangles: NDArray[np.float64]
-             ) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
+def _nearest(
+    city: City,
+    origins: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    places: NDArray[np.float64],
+    rectangles: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
     """The nearest solid that each ray meets: the ray parameter [N] and the primitive [N], see
     `cast`.
 
@@ -84,23 +90,21 @@ def _nearest(city: City, origins: NDArray[np.float64], directions: NDArray[np.fl
     order = np.argsort(places[:, 1], kind="stable")
     begin, end = np.searchsorted(places[order, 1], rectangles[:, :, 1].T)
     for solid, ((left, _), (right, _)) in enumerate(rectangles):
-        rays = order[begin[solid]:end[solid]]
+        rays = order[begin[solid] : end[solid]]
         rays = rays[(places[rays, 0] >= left) & (places[rays, 0] <= right)]
         if not len(rays):
             continue
         if solid < len(city.boxes):
             met = _meet_box(city.boxes[solid], origins[rays], directions[rays])
         else:
-            met = _meet_sphere(city.spheres[solid - len(city.boxes)], origins[rays],
-                               directions[rays])
+            met = _meet_sphere(city.spheres[solid - len(city.boxes)], origins[rays], directions[rays])
         closer = met < nearest[rays]
         nearest[rays[closer]] = met[closer]
         primitive[rays[closer]] = solid + 1
     return nearest, primitive
 
 
-def cast(city: City, camera: Camera, pixels: NDArray[np.float64]
-         ) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
+def cast(city: City, camera: Camera, pixels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
     """What a camera sees at pixel coordinates [N, 2]: the world points [N, 3], not finite in the
     sky, and the primitives [N]: -1 for the sky, 0 for the ground, then the boxes, then the spheres.
     """
@@ -115,8 +119,7 @@ def cast(city: City, camera: Camera, pixels: NDArray[np.float64]
         return origins + np.minimum(nearest, ground)[:, None] * directions, primitive
 
 
-def normals(city: City, primitive: NDArray[np.integer], points: NDArray[np.float64]
-            ) -> NDArray[np.float64]:
+def normals(city: City, primitive: NDArray[np.integer], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Outward unit normals [N, 3] at surface points [N, 3] of primitives [N] other than the sky."""
     out = np.zeros_like(points)
     out[:, 2] = 1
@@ -134,8 +137,7 @@ def normals(city: City, primitive: NDArray[np.integer], points: NDArray[np.float
     return out
 
 
-def shadowed(city: City, points: NDArray[np.float64], outward: NDArray[np.float64]
-             ) -> NDArray[np.bool_]:
+def shadowed(city: City, points: NDArray[np.float64], outward: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which surface points [N, 3], with normals [N, 3], are in shadow of the sun, as bool[N]."""
     right = np.cross(SUN, [0, 0, 1.0])
     right /= np.linalg.norm(right)
@@ -143,13 +145,16 @@ def shadowed(city: City, points: NDArray[np.float64], outward: NDArray[np.float6
     corners = _corners(city.bounds) @ plane
     origins = points + 1e-4 * outward
     nearest, _ = _nearest(
-        city, origins, np.broadcast_to(SUN, points.shape), origins @ plane,
-        np.stack([corners.min(axis=1), corners.max(axis=1)], axis=1))
+        city,
+        origins,
+        np.broadcast_to(SUN, points.shape),
+        origins @ plane,
+        np.stack([corners.min(axis=1), corners.max(axis=1)], axis=1),
+    )
     return np.isfinite(nearest)
 
 
-def shade(texture: Texture, points: NDArray[np.float64], primitive: NDArray[np.integer]
-          ) -> NDArray[np.float64]:
+def shade(texture: Texture, points: NDArray[np.float64], primitive: NDArray[np.integer]) -> NDArray[np.float64]:
     """Colours [N, 3], 0 to 1, of surface points [N, 3]: the albedo under light of sun and sky."""
     city = texture.city
     outward = normals(city, primitive, points)
@@ -159,13 +164,11 @@ def shade(texture: Texture, points: NDArray[np.float64], primitive: NDArray[np.i
     sky = 0.75 + 0.25 * outward[:, 2]
     sky *= 0.75 + 0.25 * np.clip(points[:, 2] / 3 + (primitive == 0), 0, 1)  # darker low on walls
     light = sun[:, None] * SUNLIGHT + sky[:, None] * SKYLIGHT
-    colours: NDArray[np.float64] = np.clip(
-        texture.albedo(primitive, points, outward) * light, 0, 1)
+    colours: NDArray[np.float64] = np.clip(texture.albedo(primitive, points, outward) * light, 0, 1)
     return colours
 
 
-def render(texture: Texture, camera: Camera, gains: ArrayLike = (1.0, 1.0, 1.0)
-           ) -> NDArray[np.uint8]:
+def render(texture: Texture, camera: Camera, gains: ArrayLike = (1.0, 1.0, 1.0)) -> NDArray[np.uint8]:
     """A photo [H, W, 3] of the texture's city, whose light is multiplied by gains [3]."""
     width = camera.width * SAMPLES_PER_SIDE
     image = np.empty((camera.height, camera.width, 3))

@@ -33,23 +33,21 @@ class Sparse(NamedTuple):
     pixels: NDArray[np.float64]  # [M, 2], with noise
 
 
-def observe_on(drawn: DeviceCity, city: City, cameras: Sequence[Camera], count: int, seed: int = 0
-               ) -> Sparse:
+def observe_on(drawn: DeviceCity, city: City, cameras: Sequence[Camera], count: int, seed: int = 0) -> Sparse:
     """Sample up to `count` points, each of which at least two cameras of one size observe.
 
     There are fewer if hardly any candidates are seen.
     """
     size = cameras[0].width, cameras[0].height
     packed = drawn.cameras(cameras)
-    stacked = (np.stack([camera.rotation for camera in cameras]),
-               np.stack([camera.position for camera in cameras]))
+    stacked = (np.stack([camera.rotation for camera in cameras]), np.stack([camera.position for camera in cameras]))
     parts: list[Sparse] = []
     done = tried = 0
     while done < count:
         rng = np.random.default_rng([seed, 4, tried])
         points, solids = sample_solids(city, CHUNK, GROUND_MARGIN, rng)
         seen = drawn.observed(points, solids, packed, size, tried * CHUNK, seed)
-        kept = np.flatnonzero(seen.counts >= 2)[:count - done]
+        kept = np.flatnonzero(seen.counts >= 2)[: count - done]
         taken = np.arange(seen.views.shape[1]) < seen.counts[kept, None]
         point = np.nonzero(taken)[0].astype(np.int32)
         view = seen.views[kept][taken].astype(np.int32)
@@ -61,9 +59,14 @@ def observe_on(drawn: DeviceCity, city: City, cameras: Sequence[Camera], count: 
     return Sparse(*map(np.concatenate, zip(*parts)))
 
 
-def _measured(points: NDArray[np.float64], point: NDArray[np.int32], view: NDArray[np.int32],
-              camera: Camera, stacked: tuple[NDArray[np.float64], NDArray[np.float64]],
-              rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _measured(
+    points: NDArray[np.float64],
+    point: NDArray[np.int32],
+    view: NDArray[np.int32],
+    camera: Camera,
+    stacked: tuple[NDArray[np.float64], NDArray[np.float64]],
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The points with noise, and the pixels of their observations with noise.
 
     Parameters

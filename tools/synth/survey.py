@@ -45,12 +45,10 @@ def survey(city: City, views: int, width: int, height: int, seed: int = 0) -> li
     cameras = []
     for place in _grid(nadir, city.extent * 0.8):
         cameras.append(_downward(place, altitude, width, height, rng))
-    return cameras + _obliques(city, _grid(views - nadir, city.extent * 0.6), altitude, width,
-                               height, rng)
+    return cameras + _obliques(city, _grid(views - nadir, city.extent * 0.6), altitude, width, height, rng)
 
 
-def fly(city: City, views: int, width: int, height: int, pixel: float, seed: int = 0
-        ) -> list[Camera]:
+def fly(city: City, views: int, width: int, height: int, pixel: float, seed: int = 0) -> list[Camera]:
     """The cameras of a large survey of so many views in the order of the flight: strips of nadir
     views, then strips of obliques.
 
@@ -61,11 +59,13 @@ def fly(city: City, views: int, width: int, height: int, pixel: float, seed: int
     nadir = round(views * NADIR_SHARE_LARGE)
     altitude = pixel * focal_of(width)
     if altitude < LEAST_ALTITUDE:
-        raise InputError(f"made city: a pixel of {pixel:g} units at a width of {width} needs an "
-                         f"altitude of {altitude:.1f} units, lower than {LEAST_ALTITUDE:g}")
-    return [_downward(place, altitude, width, height, rng)
-            for place in _grid(nadir, city.extent, (width, height))] + _obliques(
-        city, _grid(views - nadir, city.extent, (width, height)), altitude, width, height, rng)
+        raise InputError(
+            f"made city: a pixel of {pixel:g} units at a width of {width} needs an "
+            f"altitude of {altitude:.1f} units, lower than {LEAST_ALTITUDE:g}"
+        )
+    return [
+        _downward(place, altitude, width, height, rng) for place in _grid(nadir, city.extent, (width, height))
+    ] + _obliques(city, _grid(views - nadir, city.extent, (width, height)), altitude, width, height, rng)
 
 
 def blocks_for(views: int, width: int, height: int, pixel: float) -> int:
@@ -86,26 +86,32 @@ def gains(views: int, drift: float, seed: int = 0) -> NDArray[np.float64]:
     balance drift slowly over the flight, by up to `drift` (0.15: 15 %)."""
     rng = np.random.default_rng([seed, 6])
     turns = np.linspace(0, 2 * np.pi, views)
-    waves = [sum(np.sin(turns * rng.uniform(0.5, DRIFT_WAVES) + rng.uniform(0, 2 * np.pi))
-                 for _ in range(4)) for _ in range(2)]
+    waves = [
+        sum(np.sin(turns * rng.uniform(0.5, DRIFT_WAVES) + rng.uniform(0, 2 * np.pi)) for _ in range(4))
+        for _ in range(2)
+    ]
     exposure, balance = (wave / np.abs(wave).max() for wave in waves)
     warm = WHITE_BALANCE_SHARE * balance[:, None] * np.array([1.0, 0.0, -1.0])
     factors: NDArray[np.float64] = np.exp(np.log1p(drift) * (exposure[:, None] + warm))
     return factors
 
 
-def _downward(place: NDArray[np.float64], altitude: float, width: int, height: int,
-              rng: np.random.Generator) -> Camera:
+def _downward(place: NDArray[np.float64], altitude: float, width: int, height: int, rng: np.random.Generator) -> Camera:
     """A nadir camera over a place [2], nearly upright."""
     tilt = rng.normal(0, 0.03, 2)
-    return looking(np.array([*place, altitude * rng.uniform(0.97, 1.03)]), np.array([*tilt, -1.0]),
-                   np.array([0, 1.0, 0]), width, height)
+    return looking(
+        np.array([*place, altitude * rng.uniform(0.97, 1.03)]),
+        np.array([*tilt, -1.0]),
+        np.array([0, 1.0, 0]),
+        width,
+        height,
+    )
 
 
-def _obliques(city: City, places: NDArray[np.float64], altitude: float, width: int, height: int,
-              rng: np.random.Generator) -> list[Camera]:
-    """Cameras that look obliquely at places [N, 2] of the ground from a little below the altitude.
-    """
+def _obliques(
+    city: City, places: NDArray[np.float64], altitude: float, width: int, height: int, rng: np.random.Generator
+) -> list[Camera]:
+    """Cameras that look obliquely at places [N, 2] of the ground from a little below the altitude."""
     cameras = []
     turn = rng.uniform(0, 2 * np.pi)
     for number, place in enumerate(places):
@@ -115,17 +121,14 @@ def _obliques(city: City, places: NDArray[np.float64], altitude: float, width: i
         if (np.abs(ahead) > city.extent).any():
             heading += np.pi  # otherwise it would see the fields around the city
         pitch = PITCH + rng.uniform(-0.05, 0.05)
-        forward = np.array([np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch),
-                            -np.sin(pitch)])
+        forward = np.array([np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), -np.sin(pitch)])
         low = 0.85 * altitude
         target = np.array([*place, 0.0])
-        cameras.append(looking(target + forward * (low / forward[2]), forward,
-                               np.array([0, 0, 1.0]), width, height))
+        cameras.append(looking(target + forward * (low / forward[2]), forward, np.array([0, 0, 1.0]), width, height))
     return cameras
 
 
-def _grid(count: int, reach: NDArray[np.float64], shape: tuple[float, float] = (1, 1)
-          ) -> NDArray[np.float64]:
+def _grid(count: int, reach: NDArray[np.float64], shape: tuple[float, float] = (1, 1)) -> NDArray[np.float64]:
     """`count` positions [count, 2] in rows that fill -reach to reach, alternating in direction;
     those of neighbours differ in x and y as the sides of `shape`."""
     most = count * reach[1] / reach[0] * (shape[0] / shape[1])
@@ -143,22 +146,21 @@ def focal_of(width: int) -> float:
     return float(width / 2 / np.tan(HALF_FIELD_OF_VIEW))
 
 
-def looking(position: NDArray[np.float64], forward: NDArray[np.float64],
-            up: NDArray[np.float64], width: int, height: int) -> Camera:
-    """The survey's camera at `position` [3] that looks along `forward` [3] with `up` [3], in world.
-    """
+def looking(
+    position: NDArray[np.float64], forward: NDArray[np.float64], up: NDArray[np.float64], width: int, height: int
+) -> Camera:
+    """The survey's camera at `position` [3] that looks along `forward` [3] with `up` [3], in world."""
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     focal = focal_of(width)
-    return Camera(width, height, (focal, focal), (width / 2, height / 2), rotation,
-                  -rotation @ position)
+    return Camera(width, height, (focal, focal), (width / 2, height / 2), rotation, -rotation @ position)
 
 
-def observe(city: City, cameras: Sequence[Camera], seed: int = 0
-            ) -> tuple[NDArray[np.float64], NDArray[np.integer], NDArray[np.integer],
-                       NDArray[np.float64]]:
+def observe(
+    city: City, cameras: Sequence[Camera], seed: int = 0
+) -> tuple[NDArray[np.float64], NDArray[np.integer], NDArray[np.integer], NDArray[np.float64]]:
     """Sample sparse points of the city and their observations.
 
     Points are dense in the middle and become sparse towards the border, as in a real survey.
@@ -180,8 +182,9 @@ def observe(city: City, cameras: Sequence[Camera], seed: int = 0
         footprint[:, number] = depth / camera.focal[0]
         size = np.array([camera.width, camera.height])
         border = min(IMAGE_BORDER, size.min() / 8)
-        inside = np.flatnonzero((depth > 0) & (pixels[:, number] > border).all(axis=1)
-                                & (pixels[:, number] < size - border).all(axis=1))
+        inside = np.flatnonzero(
+            (depth > 0) & (pixels[:, number] > border).all(axis=1) & (pixels[:, number] < size - border).all(axis=1)
+        )
         met, _ = cast(city, camera, pixels[inside, number])
         seen[inside, number] = np.linalg.norm(met - surface[inside], axis=1) < 1e-3
     seen &= rng.random(seen.shape) < DETECTION_RATE
@@ -191,6 +194,5 @@ def observe(city: City, cameras: Sequence[Camera], seed: int = 0
     spread = NOISE_PIXELS * (footprint[kept] * seen).sum(axis=1) / seen.sum(axis=1)
     offset = np.clip(rng.normal(size=surface.shape), -3, 3) / np.sqrt(3)
     point, view = np.nonzero(seen)
-    noise = np.clip(rng.normal(0, NOISE_PIXELS, (len(point), 2)), -3 * NOISE_PIXELS,
-                    3 * NOISE_PIXELS)
+    noise = np.clip(rng.normal(0, NOISE_PIXELS, (len(point), 2)), -3 * NOISE_PIXELS, 3 * NOISE_PIXELS)
     return surface + offset * spread[:, None], point, view, pixels[point, view] + noise

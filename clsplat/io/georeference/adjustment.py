@@ -45,12 +45,15 @@ def check_marks(control: Iterable[ControlPoint], photos: Collection[str]) -> Non
     full = Counter(name.rpartition("/")[2] for name in photos)  # a list may leave out the folders
     marked = [name for point in control for name, _, _ in point.marks]
     if marked and not any(name in photos or name in full for name in marked):
-        raise InputError(f"--gcp: no photo has a name of those in the file, such as {marked[0]}; "
-                         "use the names of the photos, with their suffix")
+        raise InputError(
+            f"--gcp: no photo has a name of those in the file, such as {marked[0]}; "
+            "use the names of the photos, with their suffix"
+        )
     for name in marked:
         if name not in photos and full[name] > 1:
-            raise InputError(f"--gcp: {full[name]} photos have the name {name}; write the photos "
-                             "of the file with their folders")
+            raise InputError(
+                f"--gcp: {full[name]} photos have the name {name}; write the photos of the file with their folders"
+            )
 
 
 def locate(reconstruction: Any, control: Iterable[ControlPoint]) -> tuple[list[Located], list[str]]:
@@ -60,8 +63,11 @@ def locate(reconstruction: Any, control: Iterable[ControlPoint]) -> tuple[list[L
     named = {name.rpartition("/")[2]: image for name, image in named.items()} | named
     located, lost = [], []
     for point in control:
-        marks = [(named[name].image_id, x, y) for name, x, y in point.marks if name in named
-                 and 0 <= x <= named[name].camera.width and 0 <= y <= named[name].camera.height]
+        marks = [
+            (named[name].image_id, x, y)
+            for name, x, y in point.marks
+            if name in named and 0 <= x <= named[name].camera.width and 0 <= y <= named[name].camera.height
+        ]
         found = _located(reconstruction, point, marks, MARK_TOLERANCE)
         if found is None:
             lost.append(point.name)
@@ -70,8 +76,7 @@ def locate(reconstruction: Any, control: Iterable[ControlPoint]) -> tuple[list[L
     return located, lost
 
 
-def _located(reconstruction: Any, point: ControlPoint, marks: Sequence[Mark], tolerance: float
-             ) -> Located | None:
+def _located(reconstruction: Any, point: ControlPoint, marks: Sequence[Mark], tolerance: float) -> Located | None:
     """The point by most of its marks, each within a tolerance in pixels; None if there are not two
     whose rays meet at an angle."""
     if len(marks) < 2:
@@ -79,17 +84,21 @@ def _located(reconstruction: Any, point: ControlPoint, marks: Sequence[Mark], to
     images = [reconstruction.images[number] for number, _, _ in marks]
     options = pycolmap.EstimateTriangulationOptions(min_tri_angle=LEAST_ANGLE)
     options.ransac.max_error = min(  # radians
-        np.pi, tolerance / min(image.camera.mean_focal_length() for image in images))
+        np.pi, tolerance / min(image.camera.mean_focal_length() for image in images)
+    )
     options.ransac.random_seed = 0
     found = pycolmap.estimate_triangulation(
-        [(x, y) for _, x, y in marks], [image.cam_from_world() for image in images],
-        [image.camera for image in images], options)
-    return None if found is None else Located(
-        point, tuple(compress(marks, found["inliers"])), found["xyz"])
+        [(x, y) for _, x, y in marks],
+        [image.cam_from_world() for image in images],
+        [image.camera for image in images],
+        options,
+    )
+    return None if found is None else Located(point, tuple(compress(marks, found["inliers"])), found["xyz"])
 
 
-def adjust(reconstruction: Any, located: Sequence[Located], offset: NDArray[np.float64],
-           keep_focal: bool) -> list[Located]:
+def adjust(
+    reconstruction: Any, located: Sequence[Located], offset: NDArray[np.float64], keep_focal: bool
+) -> list[Located]:
     """Adjust cameras and points of a reconstruction, nearly in its place, so that control points
     lie where they are known to; returns those that were used, as the others are wrong.
 
@@ -110,11 +119,11 @@ def adjust(reconstruction: Any, located: Sequence[Located], offset: NDArray[np.f
         del used[worst]
     raise NotGeoreferenced(
         f"--gcp: fewer than {LEAST_POSITIONS} ground control points agree with the photos; "
-        "check coordinates, their order (X is east), the CRS and the marks")
+        "check coordinates, their order (X is east), the CRS and the marks"
+    )
 
 
-def _adjust(reconstruction: Any, located: Sequence[Located], offset: NDArray[np.float64],
-            keep_focal: bool) -> None:
+def _adjust(reconstruction: Any, located: Sequence[Located], offset: NDArray[np.float64], keep_focal: bool) -> None:
     config, added = pycolmap.BundleAdjustmentConfig(), []
     for image in reconstruction.images.values():
         if image.has_pose:
@@ -147,8 +156,9 @@ def _mark_error(reconstruction: Any, item: Located, offset: NDArray[np.float64])
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def residuals(reconstruction: Any, located: Iterable[Located], used: Iterable[Located],
-              offset: NDArray[np.float64]) -> tuple[Residual, ...]:
+def residuals(
+    reconstruction: Any, located: Iterable[Located], used: Iterable[Located], offset: NDArray[np.float64]
+) -> tuple[Residual, ...]:
     """How a georeferenced reconstruction shows ground control points, of which those that were used
     are neither check points nor wrong."""
     names, result = {item.point.name for item in used}, []

@@ -15,8 +15,9 @@ from clsplat.errors import InputError, clean, reason
 # of WGS 84: latitude and longitude; the same with heights; x, y and z in metres
 WGS84, GEODETIC, GEOCENTRIC = "EPSG:4326", "EPSG:4979", "EPSG:4978"
 UTM_EPSG = re.compile(r"EPSG:32([67])(0[1-9]|[1-5]\d|60)")
-UTM_WORDS = re.compile(r"(?:WGS ?84)?[ /]*UTM (?:zone )?(0?[1-9]|[1-5]\d|60) ?([C-HJ-NP-X])",
-                       re.IGNORECASE)  # N and S are hemispheres, all other letters bands
+UTM_WORDS = re.compile(
+    r"(?:WGS ?84)?[ /]*UTM (?:zone )?(0?[1-9]|[1-5]\d|60) ?([C-HJ-NP-X])", re.IGNORECASE
+)  # N and S are hemispheres, all other letters bands
 MARGIN = 5.0  # degrees around the area of use of a CRS, in which maps still use it
 WEB_MERCATOR = "1024"  # EPSG's code of its projection
 SHOWN = 60  # characters of a CRS in a message
@@ -36,8 +37,10 @@ def normal_crs(text: str, name: str = "--crs") -> str:
     text = " ".join(text.split())
     words = UTM_WORDS.fullmatch(text)
     if words and words[2] not in "nNsS":
-        raise InputError(f"{name} {_shown(text)}: {words[2]} is a latitude band; write N or S, for "
-                         f"the northern or the southern hemisphere, such as WGS84 UTM {words[1]}N")
+        raise InputError(
+            f"{name} {_shown(text)}: {words[2]} is a latitude band; write N or S, for "
+            f"the northern or the southern hemisphere, such as WGS84 UTM {words[1]}N"
+        )
     if words:
         return f"EPSG:32{'6' if words[2] in 'nN' else '7'}{int(words[1]):02d}"
     return _name(pyproj_crs(text, name))
@@ -58,9 +61,11 @@ def scene_crs(text: str) -> str:
     ground to the east and north."""
     crs = normal_crs(text)
     if not has_metres(pyproj_crs(crs, "--crs")):
-        raise InputError(f"--crs {_shown(text)}: is not a projected coordinate reference system in "
-                         "metres of the ground (as Web Mercator's are not); give one such as "
-                         "EPSG:32632, which is UTM zone 32 north")
+        raise InputError(
+            f"--crs {_shown(text)}: is not a projected coordinate reference system in "
+            "metres of the ground (as Web Mercator's are not); give one such as "
+            "EPSG:32632, which is UTM zone 32 north"
+        )
     return crs
 
 
@@ -103,8 +108,10 @@ def conversion(source: str, target: str, why: str = "CRS", partial: bool = False
         flat = pyproj.Transformer.from_crs(first, second, always_xy=True)
         upright = pyproj.Transformer.from_crs(first.to_3d(), second.to_3d(), always_xy=True)
     except pyproj.exceptions.ProjError as error:
-        raise InputError(f"{why}: coordinates in {_shown(source)} cannot be converted to "
-                         f"{_shown(target)} ({reason(error)}); name another CRS") from None
+        raise InputError(
+            f"{why}: coordinates in {_shown(source)} cannot be converted to "
+            f"{_shown(target)} ({reason(error)}); name another CRS"
+        ) from None
 
     def convert(points: ArrayLike) -> NDArray[np.float64]:
         values = np.asarray(points, np.float64)
@@ -112,10 +119,13 @@ def conversion(source: str, target: str, why: str = "CRS", partial: bool = False
         result = np.stack(used.transform(*values.T), axis=1)
         lost = ~np.isfinite(result).all(axis=1)
         if lost.any() and not partial:
-            raise InputError(f"{why}: some places in {_shown(source)} have no coordinates in "
-                             f"{_shown(target)}; check which CRS they are in")
+            raise InputError(
+                f"{why}: some places in {_shown(source)} have no coordinates in "
+                f"{_shown(target)}; check which CRS they are in"
+            )
         result[lost] = np.nan
         return result
+
     return convert
 
 
@@ -129,8 +139,7 @@ def on_ground(source: str, target: str, points: ArrayLike) -> NDArray[np.float64
     return result
 
 
-def map_positions(degrees: ArrayLike, heights: ArrayLike, crs: str | None = None
-                  ) -> tuple[NDArray[np.float64], str]:
+def map_positions(degrees: ArrayLike, heights: ArrayLike, crs: str | None = None) -> tuple[NDArray[np.float64], str]:
     """Map coordinates of places, float64[N, 3], nan for those that the CRS cannot represent; and
     that CRS, by default the UTM zone of the places.
 
@@ -153,8 +162,7 @@ def is_on_map(system: Any, crs: str) -> bool:
     """Whether coordinates in a pyproj.CRS are in the CRS of a scene, with heights in metres above
     whatever they were measured from."""
     flat, own = _flat(system), _flat(pyproj_crs(crs, "the scene"))
-    return heights_of(system).metres == 1 and (
-        flat.equals(own, ignore_axis_order=True) or _name(flat) == _name(own))
+    return heights_of(system).metres == 1 and (flat.equals(own, ignore_axis_order=True) or _name(flat) == _name(own))
 
 
 def outside(crs: str, points: ArrayLike) -> str:
@@ -170,7 +178,8 @@ def outside(crs: str, points: ArrayLike) -> str:
         return ""
     width = min((area.east - area.west) % 360 or 360, 360 - 2 * MARGIN)
     if area.south - MARGIN <= latitude <= area.north + MARGIN and (
-            (longitude - area.west + MARGIN) % 360 <= width + 2 * MARGIN):
+        (longitude - area.west + MARGIN) % 360 <= width + 2 * MARGIN
+    ):
         return ""
     return f"{where}, which is latitude {latitude:.1f}, longitude {longitude:.1f}"
 
@@ -200,8 +209,7 @@ def heights_of(crs: Any) -> Heights:
     system = pyproj_crs(crs, "CRS")
     axes = system.axis_info
     if len(axes) > 2:
-        name = (system.sub_crs_list[1].name if system.is_compound else
-                f"height above the ellipsoid of {system.name}")
+        name = system.sub_crs_list[1].name if system.is_compound else f"height above the ellipsoid of {system.name}"
         return Heights(name, axes[2].unit_conversion_factor, axes[2].unit_name)
     if not system.is_projected:
         return Heights("", 1.0, "metre")
@@ -209,15 +217,15 @@ def heights_of(crs: Any) -> Heights:
 
 
 def pyproj_crs(text: Any, name: str) -> Any:
-    """The pyproj.CRS of a text; InputError, with this name of the option or file, if there is none.
-    """
+    """The pyproj.CRS of a text; InputError, with this name of the option or file, if there is none."""
     import pyproj
 
     try:
         return pyproj.CRS.from_user_input(text)
     except (pyproj.exceptions.CRSError, ValueError):  # ValueError: it has a byte 0
-        raise InputError(f"{name} {_shown(text)}: is not a coordinate reference system; give one "
-                         "such as EPSG:25832") from None
+        raise InputError(
+            f"{name} {_shown(text)}: is not a coordinate reference system; give one such as EPSG:25832"
+        ) from None
 
 
 def _shown(crs: str) -> str:

@@ -46,18 +46,23 @@ def _read(path: Path, parsed: Callable[[dict[str, Any]], T]) -> T | None:
     """What a function makes of the record in a file; None without the file."""
     if not path.exists():
         return None
-    with reading(path, "a record of clsplat", "correct the file, or remove it and georeference the "
-                 "scene again"):
+    with reading(path, "a record of clsplat", "correct the file, or remove it and georeference the scene again"):
         return parsed(object_of(read_regular(path)))
 
 
 def georeference_record(known: Georeference) -> dict[str, Any]:
     """The record of georeference.json: the attributes, and by role how many places there are
     (`control_count`, `check_count`), the names of those left out, and errors by axis."""
-    return {**asdict(known), "control_count": len(known.names(CONTROL)),
-            "check_count": len(known.names(CHECK)), "left_out": list(known.names(LEFT_OUT)),
-            **{f"{role}_errors": {axis: asdict(error) for axis, error in known.errors(role).items()}
-               for role in (CONTROL, CHECK)}}
+    return {
+        **asdict(known),
+        "control_count": len(known.names(CONTROL)),
+        "check_count": len(known.names(CHECK)),
+        "left_out": list(known.names(LEFT_OUT)),
+        **{
+            f"{role}_errors": {axis: asdict(error) for axis, error in known.errors(role).items()}
+            for role in (CONTROL, CHECK)
+        },
+    }
 
 
 def georeference_of(record: dict[str, Any]) -> Georeference:
@@ -70,20 +75,31 @@ def georeference_of(record: dict[str, Any]) -> Georeference:
     warnings = record.get("warnings", [])
     if not isinstance(warnings, list):
         raise ValueError("warnings are not a list of texts")
-    source, kind, vertical = (text(record.get(key, ""), key)
-                              for key in ("source", "kind", "vertical"))
+    source, kind, vertical = (text(record.get(key, ""), key) for key in ("source", "kind", "vertical"))
     residual, size = (number(record.get(key, 0.0), key) for key in ("residual", "size"))
     return Georeference(
-        crs, (east, north, height), source, residual, kind, size, vertical,
+        crs,
+        (east, north, height),
+        source,
+        residual,
+        kind,
+        size,
+        vertical,
         tuple(map(_residual, tables(record.get("residuals", []), "residuals"))),
-        tuple(text(each, "a warning") for each in warnings))
+        tuple(text(each, "a warning") for each in warnings),
+    )
 
 
 def _residual(row: dict[str, Any]) -> Residual:
-    up, pixel = (None if row.get(key) is None else number(row[key], key)
-                 for key in ("up", "pixels"))
-    return Residual(text(row.get("name", ""), "name"), text(row.get("role", ""), "role"),
-                    number(row.get("east"), "east"), number(row.get("north"), "north"), up, pixel)
+    up, pixel = (None if row.get(key) is None else number(row[key], key) for key in ("up", "pixels"))
+    return Residual(
+        text(row.get("name", ""), "name"),
+        text(row.get("role", ""), "role"),
+        number(row.get("east"), "east"),
+        number(row.get("north"), "north"),
+        up,
+        pixel,
+    )
 
 
 def write_orientation(folder: str | Path, up: ArrayLike, first_view: Camera | None = None) -> None:
@@ -99,17 +115,18 @@ def write_orientation(folder: str | Path, up: ArrayLike, first_view: Camera | No
         camera = first_view.shifted(-first_view.offset)
         record["first_view"] = {
             name: np.asarray(getattr(camera, name)).tolist()
-            for name in ("width", "height", "focal", "centre", "rotation", "translation")}
+            for name in ("width", "height", "focal", "centre", "rotation", "translation")
+        }
     write_object(Path(folder) / ORIENTATION, record, indent=2)
 
 
 def read_orientation(folder: str | Path) -> tuple[NDArray[np.float64], Camera | None] | None:
     """Read orientation.json of a folder: the unit vector that points up and the first view, if it
     is recorded, in original coordinates; None if there is no such file."""
+
     def parsed(record: dict[str, Any]) -> tuple[NDArray[np.float64], Camera | None]:
         view = record.get("first_view")
-        return (_unit(numbers(record.get("up"), 3, "up")),
-                None if view is None else _camera(table(view, "first_view")))
+        return (_unit(numbers(record.get("up"), 3, "up")), None if view is None else _camera(table(view, "first_view")))
 
     return _read(Path(folder) / ORIENTATION, parsed)
 
@@ -131,8 +148,11 @@ def write_placement(folder: str | Path, scene: Scene, first_view: bool = False) 
 def placed(scene: Scene, folder: str | Path) -> Scene:
     """Add what the files of its folder hold about the place and the orientation of a scene."""
     orientation = read_orientation(folder)
-    return replace(scene, georeference=read_georeference(folder) or scene.georeference,
-                   given_up=scene.given_up if orientation is None else orientation[0])
+    return replace(
+        scene,
+        georeference=read_georeference(folder) or scene.georeference,
+        given_up=scene.given_up if orientation is None else orientation[0],
+    )
 
 
 def placement_comments(up: ArrayLike, georeference: Georeference | None = None) -> tuple[str, ...]:
@@ -150,22 +170,31 @@ def placement_comments(up: ArrayLike, georeference: Georeference | None = None) 
     if georeference is not None:
         crs = georeference.crs.encode("unicode_escape").decode()
         offset = " ".join(repr(float(value)) for value in georeference.offset)
-        lines += [CRS_COMMENT + crs, f"{OFFSET_COMMENT}{offset} is not contained in the positions: "
-                                     "map coordinates are positions + map_offset"]
+        lines += [
+            CRS_COMMENT + crs,
+            f"{OFFSET_COMMENT}{offset} is not contained in the positions: map coordinates are positions + map_offset",
+        ]
     return tuple(lines)
 
 
 def commented_georeference(comments: Iterable[str]) -> Georeference | None:
     """The georeference that `placement_comments` wrote into the comments of a file, or None."""
-    texts = {key: comment.removeprefix(key) for comment in comments
-             for key in (CRS_COMMENT, OFFSET_COMMENT) if comment.startswith(key)}
+    texts = {
+        key: comment.removeprefix(key)
+        for comment in comments
+        for key in (CRS_COMMENT, OFFSET_COMMENT)
+        if comment.startswith(key)
+    }
     if len(texts) < 2:
         return None
     try:
-        return georeference_of({
-            "crs": texts[CRS_COMMENT].encode("ascii").decode("unicode_escape"),
-            "offset": " ".join(texts[OFFSET_COMMENT].split()[:3]),
-            "source": "comments of the model's file"})
+        return georeference_of(
+            {
+                "crs": texts[CRS_COMMENT].encode("ascii").decode("unicode_escape"),
+                "offset": " ".join(texts[OFFSET_COMMENT].split()[:3]),
+                "source": "comments of the model's file",
+            }
+        )
     except ValueError:
         return None
 
@@ -185,8 +214,12 @@ def _camera(record: dict[str, Any]) -> Camera:
     width, height = (pixels(record.get(key), key) for key in ("width", "height"))
     (fx, fy), (cx, cy) = (numbers(record.get(key), 2, key).tolist() for key in ("focal", "centre"))
     rotation = np.array([numbers(row, 3, "rotation") for row in record.get("rotation") or ()])
-    if not (fx > 0 and fy > 0 and rotation.shape == (3, 3) and np.linalg.det(rotation) > 0
-            and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3):
+    if not (
+        fx > 0
+        and fy > 0
+        and rotation.shape == (3, 3)
+        and np.linalg.det(rotation) > 0
+        and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3
+    ):
         raise ValueError("first_view is not a camera")
-    return Camera(width, height, (fx, fy), (cx, cy), rotation,
-                  numbers(record.get("translation"), 3, "translation"))
+    return Camera(width, height, (fx, fy), (cx, cy), rotation, numbers(record.get("translation"), 3, "translation"))

@@ -14,8 +14,7 @@ from clsplat.io.georeference.crs import WGS84, normal_crs, on_ground
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
 
-KINDS = {"LineString": "line", "MultiLineString": "line", "Polygon": "polygon",
-         "MultiPolygon": "polygon"}
+KINDS = {"LineString": "line", "MultiLineString": "line", "Polygon": "polygon", "MultiPolygon": "polygon"}
 LEAST_VERTICES = {"line": 2, "polygon": 4}  # the last of a ring is the first
 NAMES = "name", "Name", "id", "label"  # properties, of which the first that is there names it
 LONGEST_NAME = 60  # characters
@@ -64,24 +63,34 @@ def read_features(path: Path, crs: str | None) -> list[Feature]:
         found = [_feature(item, number) for number, item in enumerate(_items(table), 1)]
         source = _source(table, found, crs, path)
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file; give a GeoJSON file of lines and polygons"
-                         ) from None
+        raise InputError(f"{path}: no such file; give a GeoJSON file of lines and polygons") from None
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not GeoJSON of lines and polygons ({reason(error)}); export it "
-                         "anew from a GIS program") from None
+        raise InputError(
+            f"{path}: not GeoJSON of lines and polygons ({reason(error)}); export it anew from a GIS program"
+        ) from None
     if source == crs or source is None:
         return found
     assert crs is not None  # else there is no source
-    return [Feature(each.name, each.kind, tuple(
-        tuple(_converted(line, source, crs, f"{path}: {each.name}") for line in part)
-        for part in each.parts)) for each in found]
+    return [
+        Feature(
+            each.name,
+            each.kind,
+            tuple(tuple(_converted(line, source, crs, f"{path}: {each.name}") for line in part) for part in each.parts),
+        )
+        for each in found
+    ]
 
 
 def _items(table: dict[str, Any]) -> list[Any]:
     """The features of a file; a lone feature or geometry is one, too."""
     kind = table.get("type")
-    items = (table.get("features") if kind == "FeatureCollection" else
-             [table] if kind == "Feature" else [{"geometry": table}])
+    items = (
+        table.get("features")
+        if kind == "FeatureCollection"
+        else [table]
+        if kind == "Feature"
+        else [{"geometry": table}]
+    )
     if not isinstance(items, list) or not items:
         raise ValueError("it has no features")
     return items
@@ -91,8 +100,11 @@ def _feature(item: Any, number: int) -> Feature:
     """A feature; ValueError unless it is a line or a polygon."""
     item = item if isinstance(item, dict) else {}
     properties, shape = item.get("properties") or {}, item.get("geometry") or {}
-    name = next((str(properties[key]) for key in NAMES if properties.get(key) not in (None, "")),
-                f"feature {number}") if isinstance(properties, dict) else f"feature {number}"
+    name = (
+        next((str(properties[key]) for key in NAMES if properties.get(key) not in (None, "")), f"feature {number}")
+        if isinstance(properties, dict)
+        else f"feature {number}"
+    )
     name = clean(name)[:LONGEST_NAME]
     word = shape.get("type") if isinstance(shape, dict) else None
     if not isinstance(word, str) or word not in KINDS:
@@ -100,8 +112,7 @@ def _feature(item: Any, number: int) -> Feature:
     kind, given = KINDS[word], shape.get("coordinates")
     nested: Any = given if word.startswith("Multi") else [given]
     try:
-        parts = tuple(tuple(_line(ring, kind) for ring in (part if kind == "polygon" else [part]))
-                      for part in nested)
+        parts = tuple(tuple(_line(ring, kind) for ring in (part if kind == "polygon" else [part])) for part in nested)
         if not parts or not all(parts):
             raise ValueError
     except (TypeError, ValueError, IndexError):
@@ -121,8 +132,7 @@ def _line(coordinates: Any, kind: str) -> Line:
     return line
 
 
-def _source(table: dict[str, Any], found: list[Feature], crs: str | None, path: Path
-            ) -> str | None:
+def _source(table: dict[str, Any], found: list[Feature], crs: str | None, path: Path) -> str | None:
     """The CRS of a file's coordinates; None: the local ones of the map."""
     named = table.get("crs")
     if named is not None:
@@ -131,8 +141,10 @@ def _source(table: dict[str, Any], found: list[Feature], crs: str | None, path: 
         except (KeyError, TypeError):
             raise ValueError("its crs has no name") from None
         if crs is None:
-            raise InputError(f"{path}: names the system {clean(text)[:40]}, but the map has no "
-                             "georeference; write the coordinates of the map, without a crs")
+            raise InputError(
+                f"{path}: names the system {clean(text)[:40]}, but the map has no "
+                "georeference; write the coordinates of the map, without a crs"
+            )
         return normal_crs(text, f"{path}: crs")
     if crs is None:
         return None
@@ -144,6 +156,5 @@ def _converted(line: Line, source: str, crs: str, name: str) -> Line:
     """A line in the CRS of the map."""
     places: Line = on_ground(source, crs, np.pad(line, ((0, 0), (0, 1))))[:, :2]
     if not np.isfinite(places).all():
-        raise InputError(f"{name}: has no place on the map; check which system its coordinates "
-                         "are in")
+        raise InputError(f"{name}: has no place on the map; check which system its coordinates are in")
     return places

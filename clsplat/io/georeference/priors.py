@@ -46,18 +46,30 @@ class PriorEffect:
     focal_percent: float  # by which focal lengths changed, the largest
 
     def __str__(self) -> str:
-        residuals = [f"{before:.3g} to {after:.3g} m {way}" for before, after, way in zip(
-            self.before, self.after, ("along the ground", "in height")) if after is not None]
+        residuals = [
+            f"{before:.3g} to {after:.3g} m {way}"
+            for before, after, way in zip(self.before, self.after, ("along the ground", "in height"))
+            if after is not None
+        ]
         std = " and ".join(f"{value:.2g}" for value in self.std if value is not None)
-        return (f"adjusted to the positions of {self.photos} photos, with standard deviations of "
-                f"{std} m: residual from {' and from '.join(residuals)}; cameras moved by "
-                f"{self.moved[0]:.2g} m, the farthest by {self.moved[1]:.2g} m, and the focal "
-                f"length changed by {self.focal_percent:.2g} %")
+        return (
+            f"adjusted to the positions of {self.photos} photos, with standard deviations of "
+            f"{std} m: residual from {' and from '.join(residuals)}; cameras moved by "
+            f"{self.moved[0]:.2g} m, the farthest by {self.moved[1]:.2g} m, and the focal "
+            f"length changed by {self.focal_percent:.2g} %"
+        )
 
 
-def adjust_to_positions(reconstruction: Any, images: Sequence[Any], positions: NDArray[np.float64],
-                        std: NDArray[np.float64], has_height: NDArray[np.bool_], keep_focal: bool,
-                        refine_centre: bool, replaced: Callable[[], None] | None) -> PriorEffect:
+def adjust_to_positions(
+    reconstruction: Any,
+    images: Sequence[Any],
+    positions: NDArray[np.float64],
+    std: NDArray[np.float64],
+    has_height: NDArray[np.bool_],
+    keep_focal: bool,
+    refine_centre: bool,
+    replaced: Callable[[], None] | None,
+) -> PriorEffect:
     """Adjust cameras and points of a reconstruction, nearly in its place, to measured positions.
 
     Parameters
@@ -89,8 +101,10 @@ def adjust_to_positions(reconstruction: Any, images: Sequence[Any], positions: N
     for _ in range(ROUNDS):
         _adjust(reconstruction, images, positions, std / pixel_std, config, options)
         away = (centres_of(images) - positions) / std
-        excess = [float(np.median(sizes)) / median if len(sizes) else 0.0 for sizes, median in zip(
-            (np.linalg.norm(away[:, :2], axis=1), np.abs(away[has_height, 2])), MEDIANS)]
+        excess = [
+            float(np.median(sizes)) / median if len(sizes) else 0.0
+            for sizes, median in zip((np.linalg.norm(away[:, :2], axis=1), np.abs(away[has_height, 2])), MEDIANS)
+        ]
         if max(excess) <= BELIEVED:
             break
         std = std * np.maximum(1.0, [excess[0], excess[0], excess[1]])
@@ -99,27 +113,40 @@ def adjust_to_positions(reconstruction: Any, images: Sequence[Any], positions: N
     moved = np.linalg.norm(centres_of(everything) - start, axis=1)
     changes = 100 * (_focals(reconstruction) / focals - 1)
     return PriorEffect(
-        len(images), int(has_height.sum()),
-        (_round(np.median(std[:, :2])),
-         _round(np.median(std[has_height, 2])) if has_height.any() else None),
-        before, rms(centres_of(images) - positions, has_height),
-        (_round(np.median(moved)), _round(moved.max())), _round(max(changes, key=abs)))
+        len(images),
+        int(has_height.sum()),
+        (_round(np.median(std[:, :2])), _round(np.median(std[has_height, 2])) if has_height.any() else None),
+        before,
+        rms(centres_of(images) - positions, has_height),
+        (_round(np.median(moved)), _round(moved.max())),
+        _round(max(changes, key=abs)),
+    )
 
 
-def _adjust(reconstruction: Any, images: Sequence[Any], positions: NDArray[np.float64],
-            std: NDArray[np.float64], config: Any, options: Any) -> None:
+def _adjust(
+    reconstruction: Any,
+    images: Sequence[Any],
+    positions: NDArray[np.float64],
+    std: NDArray[np.float64],
+    config: Any,
+    options: Any,
+) -> None:
     """One adjustment, with standard deviations as metres to a pixel's."""
-    priors = [pycolmap.PosePrior(
-        corr_data_id=image.data_id, position=position, position_covariance=np.diag(deviations**2),
-        coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN)
-        for image, position, deviations in zip(images, positions, std)]
+    priors = [
+        pycolmap.PosePrior(
+            corr_data_id=image.data_id,
+            position=position,
+            position_covariance=np.diag(deviations**2),
+            coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+        )
+        for image, position, deviations in zip(images, positions, std)
+    ]
     of_priors = pycolmap.PosePriorBundleAdjustmentOptions()
     of_priors.ceres.prior_position_loss_function_type = pycolmap.LossFunctionType.CAUCHY
     of_priors.ceres.prior_position_loss_scale = options.ceres.loss_function_scale
     # it first aligns the reconstruction with the positions, of which none is an outlier any more
     of_priors.alignment_ransac.random_seed, of_priors.alignment_ransac.max_error = 0, 1e9
-    pycolmap.create_pose_prior_bundle_adjuster(
-        options, of_priors, config, priors, reconstruction).solve()
+    pycolmap.create_pose_prior_bundle_adjuster(options, of_priors, config, priors, reconstruction).solve()
     reconstruction.update_point_3d_errors()
 
 
@@ -141,8 +168,10 @@ def centres_of(images: Sequence[Any]) -> NDArray[np.float64]:
 def rms(away: NDArray[np.float64], has_height: NDArray[np.bool_]) -> tuple[float, float | None]:
     """Root mean squares of residuals [N, 3] along the ground and in height; None without any."""
     heights = away[has_height, 2]
-    return (_round(np.sqrt((away[:, :2]**2).sum(axis=1).mean())),
-            _round(np.sqrt((heights**2).mean())) if len(heights) else None)
+    return (
+        _round(np.sqrt((away[:, :2] ** 2).sum(axis=1).mean())),
+        _round(np.sqrt((heights**2).mean())) if len(heights) else None,
+    )
 
 
 def _focals(reconstruction: Any) -> NDArray[np.float64]:

@@ -45,10 +45,15 @@ class Placed:
     priors: PriorEffect | None = None
 
 
-def place_reconstruction(reconstruction: pycolmap.Reconstruction,
-                         metadata: Mapping[str, PhotoMetadata],
-                         control: ControlPoints, *, up: ArrayLike | None = None,
-                         adjusts: bool = False, keep_focal: bool = False) -> Placed:
+def place_reconstruction(
+    reconstruction: pycolmap.Reconstruction,
+    metadata: Mapping[str, PhotoMetadata],
+    control: ControlPoints,
+    *,
+    up: ArrayLike | None = None,
+    adjusts: bool = False,
+    keep_focal: bool = False,
+) -> Placed:
     """Turn, scale and move a reconstruction in place, so that its axes are east, north and up.
 
     Ground control points decide if there are any, otherwise GPS.
@@ -72,11 +77,11 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
     known_up = vertical_of(images, points, metadata, up)
     located, lost = locate(reconstruction, control.points)
     used = [item for item in located if not item.point.is_check]
-    measured = (_by_control(used, lost, control) if control.points else
-                _by_gps(images, metadata, control.crs or None))
+    measured = _by_control(used, lost, control) if control.points else _by_gps(images, metadata, control.crs or None)
     is_control = bool(control.points)
-    result = believed(measured.places, measured.positions, known_up, measured.guesses,
-                      std=measured.std, is_control=is_control)
+    result = believed(
+        measured.places, measured.positions, known_up, measured.guesses, std=measured.std, is_control=is_control
+    )
     if is_control:
         require_near_gps(result, images, metadata, measured.crs)
     ground = np.median(result.similarity(points if len(points) else centres_of(images)), axis=0)
@@ -84,27 +89,49 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
     _move(reconstruction, result.similarity, offset)
     effect = None
     if is_control:
-        used = (adjust(reconstruction, used, offset, keep_focal) if adjusts else
-                [item for item, right in zip(used, result.used & result.used_heights) if right])
+        used = (
+            adjust(reconstruction, used, offset, keep_focal)
+            if adjusts
+            else [item for item, right in zip(used, result.used & result.used_heights) if right]
+        )
         found = residuals(reconstruction, located, used, offset)
         source, errors, notes = _by_residuals(found, lost, adjusts)
     else:
-        effect = (_adjusted_to_gps(reconstruction, images, measured, result, known_up, offset,
-                                   keep_focal) if adjusts else None)
+        effect = (
+            _adjusted_to_gps(reconstruction, images, measured, result, known_up, offset, keep_focal)
+            if adjusts
+            else None
+        )
         found, source, errors = _by_positions(images, measured, result, offset)
         height = f", {errors[1]:.2f} m in height" * bool(np.isfinite(errors[1]))
-        notes = [f"georeferenced by the {source}: residual {errors[0]:.2f} m along the "
-                 f"ground{height}", *([str(effect)] if effect else [])]
+        notes = [
+            f"georeferenced by the {source}: residual {errors[0]:.2f} m along the ground{height}",
+            *([str(effect)] if effect else []),
+        ]
     warnings = doubts(result, measured.positions, known_up, errors, is_control)
     east, north, height_of_origin = offset.tolist()
-    return Placed(Georeference(
-        measured.crs, (east, north, height_of_origin), source, errors[0],
-        "gcp" if is_control else "gps", round(result.size, 3), measured.vertical, found,
-        tuple(warnings)), UP, (*control.notes, *notes, *measured.notes), tuple(warnings), effect)
+    return Placed(
+        Georeference(
+            measured.crs,
+            (east, north, height_of_origin),
+            source,
+            errors[0],
+            "gcp" if is_control else "gps",
+            round(result.size, 3),
+            measured.vertical,
+            found,
+            tuple(warnings),
+        ),
+        UP,
+        (*control.notes, *notes, *measured.notes),
+        tuple(warnings),
+        effect,
+    )
 
 
-def turned(reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, PhotoMetadata],
-           why: NotGeoreferenced) -> Placed:
+def turned(
+    reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, PhotoMetadata], why: NotGeoreferenced
+) -> Placed:
     """Turn a reconstruction that has no place in place, so that the direction (0, -1, 0) points up,
     as most viewers expect.
 
@@ -126,17 +153,15 @@ def _rotations(images: Sequence[Any]) -> NDArray[np.float64]:
 
 
 def _move(reconstruction: Any, similarity: Similarity, offset: NDArray[np.float64]) -> None:
-    reconstruction.transform(pycolmap.Sim3d(
-        similarity.scale, pycolmap.Rotation3d(similarity.rotation),
-        similarity.translation - offset))
+    reconstruction.transform(
+        pycolmap.Sim3d(similarity.scale, pycolmap.Rotation3d(similarity.rotation), similarity.translation - offset)
+    )
 
 
 def _content(reconstruction: pycolmap.Reconstruction) -> tuple[list[Any], NDArray[np.float64]]:
     """The images with a pose, by name, and the points [N, 3]."""
-    images = sorted((image for image in reconstruction.images.values() if image.has_pose),
-                    key=lambda image: image.name)
-    return images, np.array(
-        [point.xyz for point in reconstruction.points3D.values()]).reshape(-1, 3)
+    images = sorted((image for image in reconstruction.images.values() if image.has_pose), key=lambda image: image.name)
+    return images, np.array([point.xyz for point in reconstruction.points3D.values()]).reshape(-1, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,34 +179,43 @@ class _Measured:
     notes: tuple[str, ...] = ()
 
 
-def _by_control(located: Sequence[Located], lost: Sequence[str], control: ControlPoints
-                ) -> _Measured:
+def _by_control(located: Sequence[Located], lost: Sequence[str], control: ControlPoints) -> _Measured:
     """Ground control points; NotGeoreferenced if they are too few, or outside their CRS."""
     if len(located) < LEAST_POSITIONS:
         missing = f" (not located: {_listed(lost)})" if lost else ""
         raise NotGeoreferenced(
             f"--gcp: {len(located)} of {len(located) + len(lost)} ground control points can be "
             f"located in the photos, and {LEAST_POSITIONS} are needed{missing}; mark each in two "
-            "photos or more, by the names and in the pixels of the photos that were reconstructed")
+            "photos or more, by the names and in the pixels of the photos that were reconstructed"
+        )
     crs, positions = control.crs, np.array([item.point.position for item in located])
     degrees = (np.abs(positions[:, :2]) <= (180, 90)).all()
-    where = outside(crs, positions) or (
-        "within 200 m of the origin" if degrees and UTM_EPSG.fullmatch(crs) else "")
+    where = outside(crs, positions) or ("within 200 m of the origin" if degrees and UTM_EPSG.fullmatch(crs) else "")
     if where:
-        question = ("are they degrees? Then EPSG:4326 belongs into the first line" if degrees else
-                    "is it the right CRS, and are x and y exchanged?")
-        raise NotGeoreferenced(f"--gcp: the ground control points lie {where}, outside the area "
-                               f"of {crs[:60]}: {question}")
-    guesses = [Guess(EXCHANGED, positions[:, [1, 0, 2]]),
-               Guess("are heights positive downwards?", positions * (1, 1, -1)),
-               Guess("are heights in feet?", positions * (1, 1, FOOT))]
-    return _Measured([item.point.name for item in located],
-                     np.array([item.place for item in located]), positions, guesses, crs,
-                     control.vertical)
+        question = (
+            "are they degrees? Then EPSG:4326 belongs into the first line"
+            if degrees
+            else "is it the right CRS, and are x and y exchanged?"
+        )
+        raise NotGeoreferenced(
+            f"--gcp: the ground control points lie {where}, outside the area of {crs[:60]}: {question}"
+        )
+    guesses = [
+        Guess(EXCHANGED, positions[:, [1, 0, 2]]),
+        Guess("are heights positive downwards?", positions * (1, 1, -1)),
+        Guess("are heights in feet?", positions * (1, 1, FOOT)),
+    ]
+    return _Measured(
+        [item.point.name for item in located],
+        np.array([item.place for item in located]),
+        positions,
+        guesses,
+        crs,
+        control.vertical,
+    )
 
 
-def _by_gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata], crs: str | None
-            ) -> _Measured:
+def _by_gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata], crs: str | None) -> _Measured:
     """Positions of photos; NotGeoreferenced if they are too few, or outside the CRS."""
     names, centres, degrees = _gps(images, metadata)
     if len(names) < LEAST_POSITIONS:
@@ -191,29 +225,40 @@ def _by_gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata], crs: s
     vertical = ELLIPSOIDAL if all(photo.above_ellipsoid for photo in known) else SEA_LEVEL
     notes = []
     if crs and heights_of(crs).name:
-        notes.append(f"heights are not in {heights_of(crs).name}: they are {vertical}, and are not "
-                     "converted")
+        notes.append(f"heights are not in {heights_of(crs).name}: they are {vertical}, and are not converted")
         crs = horizontal(crs)
     positions, own = map_positions(degrees, heights, crs)
     if crs is not None:
         finite = positions[np.isfinite(positions[:, 0])]
         where = outside(own, finite) if len(finite) else "nowhere"
         if where:
-            raise NotGeoreferenced(f"the photos' GPS lies {where}, outside the area of {own[:60]}; "
-                                   "give another --crs, or leave it out")
+            raise NotGeoreferenced(
+                f"the photos' GPS lies {where}, outside the area of {own[:60]}; give another --crs, or leave it out"
+            )
     void = sum(photo.void for photo in known)
     if void:
         notes.append(f"the receiver marked the positions of {void} photos as void; they are used")
     std = np.array([photo.gps_std or 3 * (UNKNOWN_STD,) for photo in known])
-    guesses = [Guess(question, map_positions(other, heights)[0]) for question, other in (
-        ("are latitude and longitude exchanged?", degrees[:, ::-1]),
-        (SIGN, degrees * (1, -1)), (SIGN, degrees * (-1, 1)))]
+    guesses = [
+        Guess(question, map_positions(other, heights)[0])
+        for question, other in (
+            ("are latitude and longitude exchanged?", degrees[:, ::-1]),
+            (SIGN, degrees * (1, -1)),
+            (SIGN, degrees * (-1, 1)),
+        )
+    ]
     return _Measured(names, centres, positions, guesses, own, vertical, std, tuple(notes))
 
 
-def _adjusted_to_gps(reconstruction: Any, images: Sequence[Any], measured: _Measured,
-                     result: Alignment, vertical: Vertical, offset: NDArray[np.float64],
-                     keep_focal: bool) -> PriorEffect | None:
+def _adjusted_to_gps(
+    reconstruction: Any,
+    images: Sequence[Any],
+    measured: _Measured,
+    result: Alignment,
+    vertical: Vertical,
+    offset: NDArray[np.float64],
+    keep_focal: bool,
+) -> PriorEffect | None:
     """Adjust a reconstruction in its place to the positions that agree with it; None, and nothing
     is done, if they are too few or too bad to be better anywhere than the photos.
 
@@ -229,8 +274,7 @@ def _adjusted_to_gps(reconstruction: Any, images: Sequence[Any], measured: _Meas
     is_rtk = measured.std[used].max(axis=1) <= RTK_STD
     decides = is_rtk.mean() >= MOST_RTK
     along = result.horizontal / np.sqrt(2)
-    std = np.where(is_rtk[:, None], measured.std[used],
-                   (along, along, np.nan_to_num(result.vertical)))
+    std = np.where(is_rtk[:, None], measured.std[used], (along, along, np.nan_to_num(result.vertical)))
     # heights by which a scene would be less level than by gimbals or photos are none
     level = np.radians(vertical.degrees) * result.size
     has_height = result.used_heights[used] & (std[:, 2] <= level)
@@ -240,49 +284,65 @@ def _adjusted_to_gps(reconstruction: Any, images: Sequence[Any], measured: _Meas
 
     def replaced() -> None:
         """Once more by a similarity, in which gimbals and drifting heights have their weights."""
-        ups = np.einsum("vji,vjk,k->vi", _rotations(images), before,
-                        result.similarity.rotation @ vertical.up)
-        _move(reconstruction, believed(
-            centres_of(shown), measured.positions, std=measured.std,
-            vertical=Vertical.measured(ups.mean(axis=0), vertical.degrees)).similarity, offset)
+        ups = np.einsum("vji,vjk,k->vi", _rotations(images), before, result.similarity.rotation @ vertical.up)
+        _move(
+            reconstruction,
+            believed(
+                centres_of(shown),
+                measured.positions,
+                std=measured.std,
+                vertical=Vertical.measured(ups.mean(axis=0), vertical.degrees),
+            ).similarity,
+            offset,
+        )
 
-    return adjust_to_positions(reconstruction, seen, positions, std, has_height,
-                               keep_focal and not decides, decides, None if decides else replaced)
+    return adjust_to_positions(
+        reconstruction,
+        seen,
+        positions,
+        std,
+        has_height,
+        keep_focal and not decides,
+        decides,
+        None if decides else replaced,
+    )
 
 
-def _by_positions(images: Sequence[Any], measured: _Measured, result: Alignment,
-                  offset: NDArray[np.float64]
-                  ) -> tuple[tuple[Residual, ...], str, tuple[float, float]]:
+def _by_positions(
+    images: Sequence[Any], measured: _Measured, result: Alignment, offset: NDArray[np.float64]
+) -> tuple[tuple[Residual, ...], str, tuple[float, float]]:
     """The residuals of the positions of photos, the source of the georeference, and the RMS of
     those that were used, along the ground and in height."""
     named, used = {image.name: image for image in images}, result.used
     away = centres_of([named[name] for name in measured.names]) + offset - measured.positions
     found = tuple(
-        Residual(name, CONTROL if right else LEFT_OUT, east, north,
-                 up if np.isfinite(up) else None)
+        Residual(name, CONTROL if right else LEFT_OUT, east, north, up if np.isfinite(up) else None)
         for name, right, (east, north, up) in zip(measured.names, used, np.round(away, 4).tolist())
-        if np.isfinite(east))
+        if np.isfinite(east)
+    )
     wrong = [name for name, right in zip(measured.names, used) if not right]
-    source = f"GPS of {used.sum()} photos" + (
-        f", without {_listed(wrong)}, whose positions are wrong" if wrong else "")
+    source = f"GPS of {used.sum()} photos" + (f", without {_listed(wrong)}, whose positions are wrong" if wrong else "")
     ground, height = rms(away[used], result.used_heights[used])
     return found, source, (ground, np.nan if height is None else height)
 
 
-def _gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata]
-         ) -> tuple[list[str], NDArray[np.float64], NDArray[np.float64]]:
-    """Of the images whose photos have GPS: names, centres [N, 3], latitudes and longitudes [N, 2].
-    """
-    found = [(image, metadata[image.name]) for image in images
-             if image.name in metadata and metadata[image.name].latitude is not None]
-    return ([image.name for image, _ in found],
-            centres_of([image for image, _ in found]),
-            np.array([(known.latitude, known.longitude) for _, known in found],
-                     np.float64).reshape(-1, 2))
+def _gps(
+    images: Sequence[Any], metadata: Mapping[str, PhotoMetadata]
+) -> tuple[list[str], NDArray[np.float64], NDArray[np.float64]]:
+    """Of the images whose photos have GPS: names, centres [N, 3], latitudes and longitudes [N, 2]."""
+    found = [
+        (image, metadata[image.name])
+        for image in images
+        if image.name in metadata and metadata[image.name].latitude is not None
+    ]
+    return (
+        [image.name for image, _ in found],
+        centres_of([image for image, _ in found]),
+        np.array([(known.latitude, known.longitude) for _, known in found], np.float64).reshape(-1, 2),
+    )
 
 
-def require_near_gps(result: Alignment, images: Sequence[Any],
-                     metadata: Mapping[str, PhotoMetadata], crs: str) -> None:
+def require_near_gps(result: Alignment, images: Sequence[Any], metadata: Mapping[str, PhotoMetadata], crs: str) -> None:
     """NotGeoreferenced if control points place the photos far from their own GPS."""
     names, centres, degrees = _gps(images, metadata)
     if len(names) < LEAST_POSITIONS:
@@ -294,7 +354,8 @@ def require_near_gps(result: Alignment, images: Sequence[Any],
     if distance > FARTHEST:
         raise NotGeoreferenced(
             f"--gcp: the ground control points place the photos {distance / 1000:.0f} km from "
-            "their GPS: is it the right CRS, and are x and y exchanged?")
+            "their GPS: is it the right CRS, and are x and y exchanged?"
+        )
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -303,15 +364,17 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:SHOWN]) + (f" and {rest} others" if rest > 0 else "")
 
 
-def _by_residuals(found: Sequence[Residual], lost: Sequence[str], adjusted: bool
-                  ) -> tuple[str, tuple[float, float], list[str]]:
+def _by_residuals(
+    found: Sequence[Residual], lost: Sequence[str], adjusted: bool
+) -> tuple[str, tuple[float, float], list[str]]:
     """The source of a georeference by ground control points, its residuals along the ground and in
     height, which are those of the check points if there are any, and notes."""
-    rows = {role: [each for each in found if each.role == role]
-            for role in (CONTROL, CHECK, LEFT_OUT)}
+    rows = {role: [each for each in found if each.role == role] for role in (CONTROL, CHECK, LEFT_OUT)}
     source = f"{len(rows[CONTROL])} ground control points"
-    for names, why in ((lost, "cannot be located in the photos"),
-                       ([each.name for each in rows[LEFT_OUT]], "contradict the others")):
+    for names, why in (
+        (lost, "cannot be located in the photos"),
+        ([each.name for each in rows[LEFT_OUT]], "contradict the others"),
+    ):
         if names:
             source += f", without {_listed(names)}, which {why}"
     errors, text = _errors(rows[CONTROL])
@@ -320,8 +383,10 @@ def _by_residuals(found: Sequence[Residual], lost: Sequence[str], adjusted: bool
         errors, text = _errors(rows[CHECK])
         notes.append(f"{len(rows[CHECK])} check points, which took no part: {text}")
     elif adjusted:
-        notes.append("no check points: the residual of points to which the scene was adjusted does "
-                     "not show its error; leave some out with --check-point NAME")
+        notes.append(
+            "no check points: the residual of points to which the scene was adjusted does "
+            "not show its error; leave some out with --check-point NAME"
+        )
     return source, errors, notes
 
 
@@ -330,5 +395,6 @@ def _errors(rows: Sequence[Residual]) -> tuple[tuple[float, float], str]:
     values = np.array([(each.east, each.north, each.up, each.pixels) for each in rows], np.float64)
     east, north, up, pixels = np.sqrt((values**2).mean(axis=0)).tolist()
     ground = float(np.hypot(east, north))
-    return (ground, up), (f"residual {ground:.3f} m along the ground, {up:.3f} m in height, "
-                          f"{pixels:.1f} pixels in the photos")
+    return (ground, up), (
+        f"residual {ground:.3f} m along the ground, {up:.3f} m in height, {pixels:.1f} pixels in the photos"
+    )

@@ -24,9 +24,16 @@ from clsplat.placement.plausible import NotGeoreferenced
 SPARSE = "sparse"
 
 
-def georeference_scene(folder: Path, output: Path, *, photos: Path | None = None, crs: str = "",
-                       gcp: Path | None = None, checks: Collection[str] = (),
-                       up: ArrayLike | None = None) -> Placed:
+def georeference_scene(
+    folder: Path,
+    output: Path,
+    *,
+    photos: Path | None = None,
+    crs: str = "",
+    gcp: Path | None = None,
+    checks: Collection[str] = (),
+    up: ArrayLike | None = None,
+) -> Placed:
     """Write a scene with metric axes east, north and up; nothing is written if it cannot be
     georeferenced.
 
@@ -61,8 +68,11 @@ def georeference_scene(folder: Path, output: Path, *, photos: Path | None = None
     partial = output.with_name(output.name + PARTIAL)
     shutil.rmtree(partial, ignore_errors=True)
     # before the new folder is made, which may be in that of the scene
-    linked = [entry for entry in sorted(folder.iterdir())
-              if entry.is_dir() and entry.name != SPARSE and not entry.name.startswith(".")]
+    linked = [
+        entry
+        for entry in sorted(folder.iterdir())
+        if entry.is_dir() and entry.name != SPARSE and not entry.name.startswith(".")
+    ]
     make_folder(partial / SPARSE / "0")
     try:
         write_reconstruction(partial / SPARSE / "0", reconstruction)
@@ -72,8 +82,10 @@ def georeference_scene(folder: Path, output: Path, *, photos: Path | None = None
         write_orientation(partial, placed.up)
         os.rename(partial, output)
     except OSError as error:
-        raise InputError(f"{output}: cannot be written ({error.strerror}); check that the disk has "
-                         "space, and choose another --output") from error
+        raise InputError(
+            f"{output}: cannot be written ({error.strerror}); check that the disk has "
+            "space, and choose another --output"
+        ) from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return placed

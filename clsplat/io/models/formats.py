@@ -22,8 +22,11 @@ from clsplat.io.models.values import Notes
 def _read_ply(path: Path, offset: NDArray[np.float64] | None) -> tuple[Gaussians, Notes]:
     """Whatever a PLY holds: gaussians or points."""
     vertices, comments = read_vertices(path)
-    found = (cloud(path, *ply_points(path, vertices), offset) if is_cloud(vertices) else
-             gaussians_of(path, vertices, comments, offset))
+    found = (
+        cloud(path, *ply_points(path, vertices), offset)
+        if is_cloud(vertices)
+        else gaussians_of(path, vertices, comments, offset)
+    )
     return found, Notes.of_lines(comments)
 
 
@@ -40,28 +43,34 @@ class Format(NamedTuple):
 
 
 FORMATS = {
-    ".ply": Format("the format of Kerbl et al. 2023, which splat viewers open", _read_ply,
-                   lambda path, gaussians, notes: write_ply(path, gaussians, gaussians.offset,
-                                                            notes.lines)),
+    ".ply": Format(
+        "the format of Kerbl et al. 2023, which splat viewers open",
+        _read_ply,
+        lambda path, gaussians, notes: write_ply(path, gaussians, gaussians.offset, notes.lines),
+    ),
     ".sog": Format("the format of PlayCanvas, the smallest", read_sog, write_sog),
     ".spz": Format("the format of Niantic, small", read_spz, write_spz),
     ".glb": Format("glTF with KHR_gaussian_splatting", read_glb, write_glb),
-    **{suffix: Format(f"OpenUSD, {what}, which is not read", None, write_usd) for suffix, what in (
-        (".usdz", "packed"), (".usdc", "binary"), (".usda", "text"))},
+    **{
+        suffix: Format(f"OpenUSD, {what}, which is not read", None, write_usd)
+        for suffix, what in ((".usdz", "packed"), (".usdc", "binary"), (".usda", "text"))
+    },
     ".laz": Format("points for maps, compressed", read_las, write_las, is_points=True),
     ".las": Format("points for maps", read_las, write_las, is_points=True),
 }
 SUFFIXES = tuple(suffix for suffix, kind in FORMATS.items() if kind.read)
 
 
-def read_model(path: str | Path, offset: ArrayLike | None = None,
-               georeference: Georeference | None = None) -> Gaussians:
+def read_model(
+    path: str | Path, offset: ArrayLike | None = None, georeference: Georeference | None = None
+) -> Gaussians:
     """Read the gaussians of a file; see `read_with_notes`."""
     return read_with_notes(path, offset, georeference)[0]
 
 
-def read_with_notes(path: str | Path, offset: ArrayLike | None = None,
-                    georeference: Georeference | None = None) -> tuple[Gaussians, Notes]:
+def read_with_notes(
+    path: str | Path, offset: ArrayLike | None = None, georeference: Georeference | None = None
+) -> tuple[Gaussians, Notes]:
     """Read the gaussians of a file in local coordinates, and what it holds besides: how they were
     trained, what is up, and their georeference, as far as its format has a place for these.
 
@@ -109,9 +118,14 @@ def _readable(path: Path) -> tuple[Format, Callable[..., tuple[Gaussians, Notes]
     return kind, kind.read
 
 
-def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] = (),
-                up: ArrayLike | None = None, georeference: Georeference | None = None,
-                spz_version: int = 0) -> None:
+def write_model(
+    path: str | Path,
+    gaussians: Gaussians,
+    comments: Iterable[str] = (),
+    up: ArrayLike | None = None,
+    georeference: Georeference | None = None,
+    spz_version: int = 0,
+) -> None:
     """Write gaussians in original coordinates; the file is replaced as a whole.
 
     Formats in single precision hold coordinates relative to the offset if original ones would lose

@@ -38,11 +38,11 @@ def is_cloud(element: plyfile.PlyElement) -> bool:
     """Whether vertices are points rather than gaussians."""
     names = element.data.dtype.names
     return all(name in names for name in "xyz") and not any(
-        name.startswith(("f_dc_", "scale_", "rot_", "opacity")) for name in names)
+        name.startswith(("f_dc_", "scale_", "rot_", "opacity")) for name in names
+    )
 
 
-def ply_points(path: Path, element: plyfile.PlyElement
-               ) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
+def ply_points(path: Path, element: plyfile.PlyElement) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
     """The points float64[N, 3] of vertices and, if they have any, their colours [N, 3], as they
     are stored; InputError if these are no points."""
     rows = element.data
@@ -54,19 +54,26 @@ def ply_points(path: Path, element: plyfile.PlyElement
     return points, np.stack([rows[name] for name in COLOURS], axis=1) if has_colours else None
 
 
-def cloud(path: Path, points: NDArray[np.float64], colours: NDArray[np.generic] | None,
-          offset: NDArray[np.float64] | None) -> Gaussians:
+def cloud(
+    path: Path, points: NDArray[np.float64], colours: NDArray[np.generic] | None, offset: NDArray[np.float64] | None
+) -> Gaussians:
     """Gaussians on points in original coordinates; colours have 8 or 16 bits, or are float from 0
     to 1. Without an offset: that of points far from the origin is their middle in whole units."""
     if colours is None:
         colours = np.full(points.shape, GREY, np.uint8)
-    rows = usable(path, {
-        "positions": np.where(np.abs(points) <= LARGEST_COORDINATE, points, np.nan),
-        "colours": np.nan_to_num(colours)})
+    rows = usable(
+        path,
+        {
+            "positions": np.where(np.abs(points) <= LARGEST_COORDINATE, points, np.nan),
+            "colours": np.nan_to_num(colours),
+        },
+    )
     points, shown = rows["positions"], rows["colours"].astype(np.float64)
     if not len(points) or (points == points[0]).all():
-        raise InputError(f"{path}: its {len(points)} points have fewer than two places; gaussians "
-                         "take their size from the distance of points, so give a larger cloud")
+        raise InputError(
+            f"{path}: its {len(points)} points have fewer than two places; gaussians "
+            "take their size from the distance of points, so give a larger cloud"
+        )
     if offset is None:
         middle = np.rint(np.median(points, axis=0))
         offset = middle if np.abs(middle).max() > FAR else np.zeros(3)
@@ -74,8 +81,7 @@ def cloud(path: Path, points: NDArray[np.float64], colours: NDArray[np.generic] 
         shown *= 255
     elif shown.max() > 255:  # some programs write 8 bits into 16
         shown /= 257
-    return Gaussians.from_points(
-        points - offset, np.clip(np.rint(shown), 0, 255).astype(np.uint8), 0).located(offset)
+    return Gaussians.from_points(points - offset, np.clip(np.rint(shown), 0, 255).astype(np.uint8), 0).located(offset)
 
 
 def write_las(path: Path, gaussians: Gaussians, notes: Notes) -> None:
@@ -95,8 +101,9 @@ def write_las(path: Path, gaussians: Gaussians, notes: Notes) -> None:
     header.offsets = np.rint((low + high) / 2)
     reach = np.abs([low - header.offsets, high - header.offsets]).max()
     step = max(typical / STEPS_A_SCALE, FINEST_STEP)  # coarser if 32 bits cannot hold it
-    header.scales = np.full(3, max(10.0 ** np.floor(np.log10(step)),
-                                   10.0 ** np.ceil(np.log10(max(reach, 1e-300) / STEPS))))
+    header.scales = np.full(
+        3, max(10.0 ** np.floor(np.log10(step)), 10.0 ** np.ceil(np.log10(max(reach, 1e-300) / STEPS)))
+    )
     las = laspy.LasData(header)
     las.x, las.y, las.z = points.T
     las.red, las.green, las.blue = _shares(colours_of(gaussians.sh_constant)).T
@@ -105,8 +112,7 @@ def write_las(path: Path, gaussians: Gaussians, notes: Notes) -> None:
         las.write(file, do_compress=path.suffix.lower() == ".laz")
 
 
-def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | None = None
-             ) -> tuple[Gaussians, Notes]:
+def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | None = None) -> tuple[Gaussians, Notes]:
     """Read the points of a LAS or LAZ file as gaussians; InputError if it names another CRS; see
     `models.read_with_notes`."""
     laspy = _laspy_for(path)
@@ -118,8 +124,10 @@ def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | N
             raise ValueError("its header claims more than it holds")
         file.seek(0)
         # the parallel decompressor allocates what the file's table of chunks claims
-        with _no_panic(), laspy.open(file, closefd=False, read_evlrs=False,
-                                     laz_backend=laspy.LazBackend.Lazrs) as reader:
+        with (
+            _no_panic(),
+            laspy.open(file, closefd=False, read_evlrs=False, laz_backend=laspy.LazBackend.Lazrs) as reader,
+        ):
             header = reader.header
             count, width = header.point_count, header.point_format.size
             if header.are_points_compressed:
@@ -143,9 +151,11 @@ def _check_crs(path: Path, header: Any, crs: str) -> None:
     with suppress(Exception):  # of any kind, for damaged records
         system = header.parse_crs()
     if system is not None and not is_on_map(system, crs):
-        raise InputError(f"{path}: its points are in {clean(system.name)}, and the scene is in "
-                         f"{clean(crs)[:60]}; convert them (with PDAL), or georeference the scene "
-                         "again with their --crs")
+        raise InputError(
+            f"{path}: its points are in {clean(system.name)}, and the scene is in "
+            f"{clean(crs)[:60]}; convert them (with PDAL), or georeference the scene "
+            "again with their --crs"
+        )
 
 
 def _shares(values: NDArray[np.floating]) -> NDArray[np.uint16]:
@@ -159,8 +169,7 @@ def _laspy_for(path: Path) -> Any:
         import laspy
         import lazrs  # noqa: F401  # without which laspy reads no LAZ
     except ImportError:
-        raise InputError(f"{path}: LAS and LAZ need laspy and lazrs; "
-                         "`pip install laspy lazrs`") from None
+        raise InputError(f"{path}: LAS and LAZ need laspy and lazrs; `pip install laspy lazrs`") from None
     return laspy
 
 

@@ -31,9 +31,13 @@ from clsplat.io.regular import check_expansion, check_rows, opened_archive, read
 META, ORIGIN, KIND = "meta.json", "clsplat_origin", "a SOG file of version 2"
 MEANS, SCALES, QUATERNIONS, COLOURS, HARMONICS = "means", "scales", "quats", "sh0", "shN"
 # the textures of each part; harmonics may be missing
-TEXTURES = {MEANS: ["means_l.webp", "means_u.webp"], SCALES: ["scales.webp"],
-            QUATERNIONS: ["quats.webp"], COLOURS: ["sh0.webp"],
-            HARMONICS: ["shN_centroids.webp", "shN_labels.webp"]}
+TEXTURES = {
+    MEANS: ["means_l.webp", "means_u.webp"],
+    SCALES: ["scales.webp"],
+    QUATERNIONS: ["quats.webp"],
+    COLOURS: ["sh0.webp"],
+    HARMONICS: ["shN_centroids.webp", "shN_labels.webp"],
+}
 BANDS = {0: 0, 1: 3, 2: 8, 3: 15}  # harmonics above the constant, by their degree
 DATE = (1980, 1, 1, 0, 0, 0)  # of every member, so that equal models give equal bytes
 COMPONENT_STEPS = stored.Steps(255 / 2**0.5, 127.5)  # of a quaternion
@@ -60,34 +64,34 @@ def write_sog(path: Path, gaussians: Gaussians, notes: Notes) -> None:
             archive.writestr(zipfile.ZipInfo(name, DATE), content)
 
 
-def sog_files(gaussians: Gaussians, notes: Notes, along_curve: bool
-              ) -> Iterator[tuple[str, bytes]]:
+def sog_files(gaussians: Gaussians, notes: Notes, along_curve: bool) -> Iterator[tuple[str, bytes]]:
     """The name and the content of each file of a SOG, which a zip or a folder has; the gaussians
     are sorted along a curve in space, or stay in order."""
     rows, origin = stored.stored_rows(gaussians, along_curve)
     logarithms = np.sign(rows["positions"]) * np.log1p(np.abs(rows["positions"]))
-    low, high = ((logarithms.min(axis=0), logarithms.max(axis=0)) if gaussians.count
-                 else np.zeros((2, 3)))
-    steps = np.rint((logarithms - low) / np.maximum(high - low, SMALLEST_SPAN)
-                    * LARGEST_STEP).astype(int)
+    low, high = (logarithms.min(axis=0), logarithms.max(axis=0)) if gaussians.count else np.zeros((2, 3))
+    steps = np.rint((logarithms - low) / np.maximum(high - low, SMALLEST_SPAN) * LARGEST_STEP).astype(int)
     largest, others = stored.smallest_three(rows["quaternions"])
     scales, scale_labels = _codebook(rows["log_scales"])
     colours, colour_labels = _codebook(rows["sh_constant"])
     opacity = stored.OPACITY_STEPS.bytes(scipy.special.expit(rows["opacity_logits"]))
     # the record and the textures of each
     parts: dict[str, tuple[dict[str, Any], list[NDArray[np.uint8]]]] = {
-        MEANS: ({"mins": low.tolist(), "maxs": high.tolist()},
-                [_texture(steps & 255), _texture(steps >> 8)]),
+        MEANS: ({"mins": low.tolist(), "maxs": high.tolist()}, [_texture(steps & 255), _texture(steps >> 8)]),
         SCALES: ({"codebook": scales}, [_texture(scale_labels)]),
-        QUATERNIONS: ({}, [_texture(np.column_stack(
-            [COMPONENT_STEPS.bytes(others), FIRST_TAG + largest]))]),
-        COLOURS: ({"codebook": colours}, [_texture(np.column_stack([colour_labels, opacity]))])}
+        QUATERNIONS: ({}, [_texture(np.column_stack([COMPONENT_STEPS.bytes(others), FIRST_TAG + largest]))]),
+        COLOURS: ({"codebook": colours}, [_texture(np.column_stack([colour_labels, opacity]))]),
+    }
     if rows["sh_rest"].any():
         parts[HARMONICS] = _harmonics(rows["sh_rest"], gaussians.sh_degree)
-    meta = {"version": 2, "asset": {"generator": "clsplat"}, "count": gaussians.count,
-            "antialias": notes.antialiased,
-            **{part: {**record, "files": TEXTURES[part]} for part, (record, _) in parts.items()},
-            **({ORIGIN: origin.tolist()} if origin.any() else {})}
+    meta = {
+        "version": 2,
+        "asset": {"generator": "clsplat"},
+        "count": gaussians.count,
+        "antialias": notes.antialiased,
+        **{part: {**record, "files": TEXTURES[part]} for part, (record, _) in parts.items()},
+        **({ORIGIN: origin.tolist()} if origin.any() else {}),
+    }
     yield META, json.dumps(meta).encode()
     for part, (_, textures) in parts.items():
         for name, texture in zip(TEXTURES[part], textures):
@@ -98,8 +102,7 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
     """Read a SOG file, or a folder of its parts, named by itself or by its meta.json; see
     `models.read_with_notes`."""
     parts = path if path.is_dir() else path.parent if path.name == META else None
-    source: AbstractContextManager[Any] = (
-        opened_archive(path) if parts is None else nullcontext((None, {})))
+    source: AbstractContextManager[Any] = opened_archive(path) if parts is None else nullcontext((None, {}))
     with reading(path, KIND), source as (archive, members):
         # some programs zip their folder
         inside = {PurePosixPath(name).name: member for name, member in members.items()}
@@ -116,12 +119,14 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
         count = meta["count"]
         if type(count) is not int or count < 0:
             raise ValueError("count is not a number of gaussians")
-        contents = [read(name) for part in (MEANS, SCALES, QUATERNIONS, COLOURS)
-                    for _, name in zip(TEXTURES[part], meta[part]["files"])]
+        contents = [
+            read(name)
+            for part in (MEANS, SCALES, QUATERNIONS, COLOURS)
+            for _, name in zip(TEXTURES[part], meta[part]["files"])
+        ]
         degree = meta.get(HARMONICS, {}).get("bands", 0)
         check_rows(sum(map(len, contents)), count, BANDS[degree])
-        lower, upper, scales, quaternions, colours = (
-            _pixels(_decoded(content), count) for content in contents)
+        lower, upper, scales, quaternions, colours = (_pixels(_decoded(content), count) for content in contents)
         low, high = (np.array(meta[MEANS][end], np.float64) for end in ("mins", "maxs"))
         logarithms = low + (high - low) * ((lower[:, :3] + 256.0 * upper[:, :3]) / LARGEST_STEP)
         tag = quaternions[:, 3].astype(int) - FIRST_TAG
@@ -134,12 +139,10 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
             "quaternions": from_smallest_three(tag, COMPONENT_STEPS.values(quaternions[:, :3])),
         }
         origin = np.array(meta.get(ORIGIN, (0, 0, 0)), np.float64).reshape(3)
-        return (stored.gaussians_of(path, rows, origin, offset),
-                Notes((stored.MIP,) if meta.get("antialias") else ()))
+        return (stored.gaussians_of(path, rows, origin, offset), Notes((stored.MIP,) if meta.get("antialias") else ()))
 
 
-def _harmonics(sh_rest: NDArray[np.float64], degree: int
-               ) -> tuple[dict[str, Any], list[NDArray[np.uint8]]]:
+def _harmonics(sh_rest: NDArray[np.float64], degree: int) -> tuple[dict[str, Any], list[NDArray[np.uint8]]]:
     """The record of harmonics [N, bands, 3], and their textures."""
     count, bands = sh_rest.shape[:2]
     most = min(MOST_COLOURS, max(FEWEST_COLOURS, count // GAUSSIANS_A_COLOUR))
@@ -148,14 +151,17 @@ def _harmonics(sh_rest: NDArray[np.float64], degree: int
     lines = -(-len(chosen) // PALETTE_COLUMNS)
     pixels = np.zeros((lines * PALETTE_COLUMNS, bands, 4), np.uint8)
     pixels[..., 3] = 255
-    pixels[:len(chosen), :, :3] = numbers.reshape(-1, bands, 3)
-    return ({"count": len(chosen), "bands": degree, "codebook": codes},
-            [pixels.reshape(lines, PALETTE_COLUMNS * bands, 4),
-             _texture(np.stack([labels & 255, labels >> 8, 0 * labels], 1))])
+    pixels[: len(chosen), :, :3] = numbers.reshape(-1, bands, 3)
+    return (
+        {"count": len(chosen), "bands": degree, "codebook": codes},
+        [
+            pixels.reshape(lines, PALETTE_COLUMNS * bands, 4),
+            _texture(np.stack([labels & 255, labels >> 8, 0 * labels], 1)),
+        ],
+    )
 
 
-def _read_harmonics(meta: dict[str, Any], read: Callable[[str], bytes], count: int
-                    ) -> NDArray[np.float64]:
+def _read_harmonics(meta: dict[str, Any], read: Callable[[str], bytes], count: int) -> NDArray[np.float64]:
     """The harmonics float64[count, bands, 3] above the constant."""
     if HARMONICS not in meta:
         return np.zeros((count, 0, 3))
@@ -175,7 +181,7 @@ def _texture(values: NDArray[Any]) -> NDArray[np.uint8]:
     height = max(4, -(-len(values) // width // 4) * 4)
     pixels = np.zeros((height * width, 4), np.uint8)
     pixels[:, 3] = 255
-    pixels[:len(values), :values.shape[1]] = values
+    pixels[: len(values), : values.shape[1]] = values
     return pixels.reshape(height, width, 4)
 
 
@@ -202,8 +208,7 @@ def _codebook(values: NDArray[np.floating]) -> tuple[list[float], NDArray[np.uin
     sums = np.concatenate([[0], np.cumsum(ordered)])
     # half of the first numbers follow how many values there are, half how far they reach
     ranks = np.linspace(0, len(ordered) - 1, CODEBOOK // 2).astype(int)
-    centres = np.sort(np.concatenate([
-        ordered[ranks], np.linspace(ordered[0], ordered[-1], CODEBOOK // 2)]))
+    centres = np.sort(np.concatenate([ordered[ranks], np.linspace(ordered[0], ordered[-1], CODEBOOK // 2)]))
     for _ in range(CODEBOOK_ROUNDS):
         cuts = np.searchsorted(ordered, (centres[1:] + centres[:-1]) / 2)
         cuts = np.concatenate([[0], cuts, [len(ordered)]])
@@ -222,7 +227,7 @@ def _palette(rows: NDArray[np.floating], most: int) -> tuple[NDArray[np.float32]
     clusters which are cut in two until there are enough.
     """
     values = rows.astype(np.float32)
-    sample = values[::-(-len(values) // MOST_SAMPLED)]
+    sample = values[:: -(-len(values) // MOST_SAMPLED)]
     first = sample[np.linspace(0, len(sample) - 1, min(most, len(sample))).astype(int)]
     centres, _ = scipy.cluster.vq.kmeans2(sample, first, PALETTE_ROUNDS, minit="matrix")
     return centres, scipy.cluster.vq.vq(values, centres)[0]
@@ -234,13 +239,13 @@ def encode_webp(pixels: NDArray[np.uint8]) -> bytes:
     They come back as they are, except that the colours of a pixel with a last channel of 0 may
     become 0.
     """
-    return encode_image(pixels, "webp", 100, "WebP", {
-        "compression": "lossless:50", "webp:method": 3, "oiio:UnassociatedAlpha": 1})
+    return encode_image(
+        pixels, "webp", 100, "WebP", {"compression": "lossless:50", "webp:method": 3, "oiio:UnassociatedAlpha": 1}
+    )
 
 
 def _decoded(data: bytes) -> NDArray[np.uint8]:
-    """The pixels uint8[H, W, 4] of a texture, as stored; ValueError if it is damaged or too large.
-    """
+    """The pixels uint8[H, W, 4] of a texture, as stored; ValueError if it is damaged or too large."""
     try:
         with opened(data) as image:
             check_expansion(len(data), image.width * image.height * 4)

@@ -63,8 +63,7 @@ class _Header(NamedTuple):
     streams: int
 
 
-def write_spz(path: Path, gaussians: Gaussians, notes: values.Notes, version: int = VERSION
-              ) -> None:
+def write_spz(path: Path, gaussians: Gaussians, notes: values.Notes, version: int = VERSION) -> None:
     """Write gaussians as SPZ of one of VERSIONS; see `models.write_model`.
 
     They are sorted along a curve in space. Harmonics whose bytes would all be zero are left out.
@@ -78,8 +77,7 @@ def write_spz(path: Path, gaussians: Gaussians, notes: values.Notes, version: in
         file.write(content)
 
 
-def packed_spz(path: Path, gaussians: Gaussians, notes: values.Notes, version: int = VERSION
-               ) -> tuple[bytes, int]:
+def packed_spz(path: Path, gaussians: Gaussians, notes: values.Notes, version: int = VERSION) -> tuple[bytes, int]:
     """The content of a SPZ file, and the degree of its harmonics; `path` is for messages.
 
     ImportError without zstandard, which version 4 needs.
@@ -89,17 +87,22 @@ def packed_spz(path: Path, gaussians: Gaussians, notes: values.Notes, version: i
     bits = _fractional_bits(path, rows["positions"], gaussians.log_scales)
     fixed = np.rint(rows["positions"] * 2.0**bits).astype("<i4")
     bucket = np.where(np.arange(rows["sh_rest"].shape[1]) < 3, *SH_BUCKETS)[:, None]
-    sh = HARMONICS.bytes(np.floor(rows["sh_rest"] * HARMONICS.scale / bucket + 0.5)
-                         * bucket / HARMONICS.scale)
+    sh = HARMONICS.bytes(np.floor(rows["sh_rest"] * HARMONICS.scale / bucket + 0.5) * bucket / HARMONICS.scale)
     degree = gaussians.sh_degree
-    while degree and not (sh[:, degree**2 - 1:] != HARMONICS.zero).any():
+    while degree and not (sh[:, degree**2 - 1 :] != HARMONICS.zero).any():
         degree -= 1
-        sh = sh[:, :(degree + 1) ** 2 - 1]
-    parts = [part.tobytes() for part in (
-        fixed.view(np.uint8).reshape(-1, 4)[:, :3],
-        values.OPACITY_STEPS.bytes(scipy.special.expit(rows["opacity_logits"])),
-        COLOURS.bytes(rows["sh_constant"]),
-        LOG_SCALES.bytes(rows["log_scales"]), _packed_rotations(rows["quaternions"]), sh)]
+        sh = sh[:, : (degree + 1) ** 2 - 1]
+    parts = [
+        part.tobytes()
+        for part in (
+            fixed.view(np.uint8).reshape(-1, 4)[:, :3],
+            values.OPACITY_STEPS.bytes(scipy.special.expit(rows["opacity_logits"])),
+            COLOURS.bytes(rows["sh_constant"]),
+            LOG_SCALES.bytes(rows["log_scales"]),
+            _packed_rotations(rows["quaternions"]),
+            sh,
+        )
+    ]
     comment = b""
     if origin.any():
         comment = f"origin_of_positions {' '.join(map(repr, origin.tolist()))}\0".encode()
@@ -116,18 +119,24 @@ def packed_spz(path: Path, gaussians: Gaussians, notes: values.Notes, version: i
 def _in_streams(fields: tuple[bytes | int, ...], comment: bytes, parts: Sequence[bytes]) -> bytes:
     """A file of version 4, of the fields of its header but the number of its parts."""
     packed = [_zstandard().ZstdCompressor(ZSTD_LEVEL).compress(part) for part in parts]
-    return b"".join((
-        HEADER_4.pack(HEADER.pack(*fields, len(parts)), HEADER_4.size + len(comment)), comment,
-        *(ENTRY.pack(len(small), len(part)) for small, part in zip(packed, parts)), *packed))
+    return b"".join(
+        (
+            HEADER_4.pack(HEADER.pack(*fields, len(parts)), HEADER_4.size + len(comment)),
+            comment,
+            *(ENTRY.pack(len(small), len(part)) for small, part in zip(packed, parts)),
+            *packed,
+        )
+    )
 
 
-def read_spz(path: Path, offset: NDArray[np.float64] | None = None
-             ) -> tuple[Gaussians, values.Notes]:
+def read_spz(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gaussians, values.Notes]:
     """Read a SPZ file; see `models.read_with_notes`."""
     with reading(path, "a SPZ file"):
         data = read_regular(path)
-        return (values.gaussians_of(path, unpacked_spz(data), _origin(data), offset),
-                values.Notes((values.MIP,) if _header(data).flags & ANTIALIASED else ()))
+        return (
+            values.gaussians_of(path, unpacked_spz(data), _origin(data), offset),
+            values.Notes((values.MIP,) if _header(data).flags & ANTIALIASED else ()),
+        )
 
 
 def unpacked_spz(data: bytes) -> dict[str, NDArray[np.float64]]:
@@ -136,23 +145,25 @@ def unpacked_spz(data: bytes) -> dict[str, NDArray[np.float64]]:
     header = _header(data)
     count, bands = header.number, (header.degree + 1) ** 2 - 1
     check_rows(len(data), count, bands)
-    shapes = [(count, *shape) for shape in (
-        (9,), (1,), (3,), (3,), (ROTATION_BYTES[header.version],), (bands, 3))]
+    shapes = [(count, *shape) for shape in ((9,), (1,), (3,), (3,), (ROTATION_BYTES[header.version],), (bands, 3))]
     in_streams = header.version == WITH_STREAMS and (header.streams or not count)
     contents = (_streams if in_streams else _stream)(data, header, list(map(math.prod, shapes)))
     position, opacity, colour, scale, rotation, sh = (
-        np.frombuffer(content, np.uint8).reshape(shape)
-        for content, shape in zip(contents, shapes))
+        np.frombuffer(content, np.uint8).reshape(shape) for content, shape in zip(contents, shapes)
+    )
     fixed = np.zeros((count, 3, 4), np.uint8)
     fixed[..., 1:] = position.reshape(count, 3, 3)  # the upper bytes keep the sign
-    return values.half_turn({
-        "positions": (fixed.view("<i4")[..., 0] >> 8) / 2.0**header.bits,
-        "sh_constant": COLOURS.values(colour),
-        "sh_rest": HARMONICS.values(sh),
-        "opacity_logits": values.byte_logits(opacity[:, 0]),
-        "log_scales": LOG_SCALES.values(scale),
-        "quaternions": _rotations(rotation),
-    }, axis=0)
+    return values.half_turn(
+        {
+            "positions": (fixed.view("<i4")[..., 0] >> 8) / 2.0**header.bits,
+            "sh_constant": COLOURS.values(colour),
+            "sh_rest": HARMONICS.values(sh),
+            "opacity_logits": values.byte_logits(opacity[:, 0]),
+            "log_scales": LOG_SCALES.values(scale),
+            "quaternions": _rotations(rotation),
+        },
+        axis=0,
+    )
 
 
 def _header(data: bytes) -> _Header:
@@ -163,8 +174,7 @@ def _header(data: bytes) -> _Header:
     if magic != MAGIC:
         raise ValueError("its header is another")
     if header.version not in ROTATION_BYTES:
-        raise ValueError(f"versions {min(ROTATION_BYTES)} to {WITH_STREAMS} are read, not "
-                         f"{header.version}")
+        raise ValueError(f"versions {min(ROTATION_BYTES)} to {WITH_STREAMS} are read, not {header.version}")
     if header.degree > HIGHEST_DEGREE or header.bits > MOST_FRACTIONAL_BITS:
         raise ValueError(f"SH degree {header.degree}, {header.bits} fractional bits")
     if header.flags & EXTENDED:
@@ -182,7 +192,7 @@ def _stream(data: bytes, header: _Header, sizes: Sequence[int]) -> list[bytes]:
         ended = stream.eof  # where the checksum was compared
     if len(data) != size or not ended:
         raise ValueError(f"its {header.number} gaussians have another size")
-    content = io.BytesIO(data[HEADER.size:])
+    content = io.BytesIO(data[HEADER.size :])
     return [content.read(size) for size in sizes]
 
 
@@ -198,7 +208,7 @@ def _streams(data: bytes, header: _Header, sizes: Sequence[int]) -> list[bytes]:
         packed, claimed = next(entries) if size else (0, 0)
         if claimed != size:
             raise ValueError(f"a stream of {size} bytes claims to hold {claimed}")
-        stream = zstandard.ZstdDecompressor().stream_reader(data[at:at + packed])
+        stream = zstandard.ZstdDecompressor().stream_reader(data[at : at + packed])
         parts.append(stream.read(size + 1) if size else b"")
         if len(parts[-1]) != size:
             raise ValueError("it holds more or less than its header claims")
@@ -215,19 +225,19 @@ def _zstandard() -> ModuleType:
     return zstandard
 
 
-def _fractional_bits(path: Path, positions: NDArray[np.float64], log_scales: NDArray[np.float32]
-                     ) -> int:
+def _fractional_bits(path: Path, positions: NDArray[np.float64], log_scales: NDArray[np.float32]) -> int:
     """The bits below one in 24: as many as the gaussians need, if the largest position fits."""
     if not len(positions):
         return 0
     largest = max(float(np.abs(positions).max()), SMALLEST_EXTENT)
     most = int(np.floor(np.log2(POSITION_LIMIT / largest)))
     if most < 0:
-        raise InputError(f"{path}: SPZ holds positions below {POSITION_LIMIT:,}, and the farthest "
-                         f"is at {largest:g}; remove what is so far away, or write another format")
+        raise InputError(
+            f"{path}: SPZ holds positions below {POSITION_LIMIT:,}, and the farthest "
+            f"is at {largest:g}; remove what is so far away, or write another format"
+        )
     extent = max(float(np.ptp(positions, axis=0).max()), SMALLEST_EXTENT)
-    needed = int(np.ceil(np.log2(max(FEWEST_STEPS / extent,
-                                     np.exp(-float(np.median(log_scales))) / POSITION_STEP))))
+    needed = int(np.ceil(np.log2(max(FEWEST_STEPS / extent, np.exp(-float(np.median(log_scales))) / POSITION_STEP))))
     return min(most, max(needed, 0), MOST_FRACTIONAL_BITS)
 
 

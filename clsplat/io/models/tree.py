@@ -38,9 +38,16 @@ NO_PARENT = 2**32 - 1
 # place: byte of the file; low and high: corners of the box around the centres of its gaussians and
 # of those below; usual_low and usual_high: without the outermost ones; sigma: the mean standard
 # deviation of its gaussians; largest: the largest one, of those below too
-NODE = np.dtype([("place", "<u8"), ("count", "<u4"), ("parent", "<u4"),
-                 *((name, "<f8", 3) for name in ("low", "high", "usual_low", "usual_high")),
-                 ("sigma", "<f8"), ("largest", "<f8")])
+NODE = np.dtype(
+    [
+        ("place", "<u8"),
+        ("count", "<u4"),
+        ("parent", "<u4"),
+        *((name, "<f8", 3) for name in ("low", "high", "usual_low", "usual_high")),
+        ("sigma", "<f8"),
+        ("largest", "<f8"),
+    ]
+)
 
 
 class TreeWriter:
@@ -50,8 +57,7 @@ class TreeWriter:
         self._file, self._sh_degree = file, sh_degree
         self.nodes: list[NDArray[Any]] = []
 
-    def add(self, gaussians: Gaussians, facts: Mapping[str, ArrayLike],
-            children: Sequence[int] = ()) -> int:
+    def add(self, gaussians: Gaussians, facts: Mapping[str, ArrayLike], children: Sequence[int] = ()) -> int:
         """Write a node with the fields of NODE from `low` on, which replaces the nodes with some
         numbers; returns its own."""
         content = gaussians.with_sh_degree(self._sh_degree)
@@ -75,8 +81,7 @@ def writing_tree(path: Path, sh_degree: int, offset: ArrayLike) -> Iterator[Tree
         file.write(bytes(HEADER.size))
         writer = TreeWriter(file, sh_degree)
         yield writer
-        record = {"sh_degree": sh_degree, "offset": np.asarray(offset, np.float64).tolist(),
-                  "nodes": len(writer.nodes)}
+        record = {"sh_degree": sh_degree, "offset": np.asarray(offset, np.float64).tolist(), "nodes": len(writer.nodes)}
         index = json.dumps(record).encode() + b"\n" + np.array(writer.nodes, NODE).tobytes()
         place = file.tell()
         file.write(index)
@@ -119,7 +124,7 @@ class Tree:
     def read(self, number: int, name: str) -> NDArray[np.float32]:
         """float32[n, *row shape]: the rows of a field of a node."""
         degree, (place, count, *_) = self.sh_degree, self.nodes[number].item()
-        before = sum(FIELDS[other].width(degree) for other in ORDER[:ORDER.index(name)])
+        before = sum(FIELDS[other].width(degree) for other in ORDER[: ORDER.index(name)])
         shape = (count, *FIELDS[name].row_shape(degree))
         with reading(self.path, KIND, CURE):  # reshape refuses rows that end early
             self._file.seek(place + 4 * before * count)

@@ -54,12 +54,11 @@ def write_usd(path: Path, gaussians: Gaussians, notes: Notes) -> None:
         "positions": Vt.Vec3fArray.FromNumpy(single["positions"]),
         "orientations": Vt.QuatfArray.FromNumpy(xyzw),
         "scales": Vt.Vec3fArray.FromNumpy(scales),
-        "opacities": Vt.FloatArray.FromNumpy(
-            scipy.special.expit(single["opacity_logits"]).astype(np.float32)),
+        "opacities": Vt.FloatArray.FromNumpy(scipy.special.expit(single["opacity_logits"]).astype(np.float32)),
         "radiance:sphericalHarmonicsDegree": gaussians.sh_degree,
-        "radiance:sphericalHarmonicsCoefficients": Vt.Vec3fArray.FromNumpy(
-            harmonics.reshape(-1, 3)),
-        "extent": Vt.Vec3fArray.FromNumpy(_extent(single["positions"], scales))}
+        "radiance:sphericalHarmonicsCoefficients": Vt.Vec3fArray.FromNumpy(harmonics.reshape(-1, 3)),
+        "extent": Vt.Vec3fArray.FromNumpy(_extent(single["positions"], scales)),
+    }
     for name, value in attributes.items():
         field.GetPrim().GetAttribute(name).Set(value)
 

@@ -60,8 +60,9 @@ class Notes:
     def of_lines(cls, lines: Iterable[str]) -> Notes:
         """The notes in lines of text, as `lines` has them; other lines are left out."""
         known = tuple(lines)
-        return cls(tuple(line for line in known if line.startswith(MODE)), commented_up(known),
-                   commented_georeference(known))
+        return cls(
+            tuple(line for line in known if line.startswith(MODE)), commented_up(known), commented_georeference(known)
+        )
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -86,8 +87,9 @@ def needs_double(positions: NDArray[np.float64], log_scales: NDArray[np.float32]
     return bool(error and error > TOLERANCE * np.exp(np.median(log_scales.astype(np.float64))))
 
 
-def stored_rows(gaussians: Gaussians, along_curve: bool = False
-                ) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.float64]]:
+def stored_rows(
+    gaussians: Gaussians, along_curve: bool = False
+) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.float64]]:
     """The fields of `gaussians.LEARNED` for a file in single precision, in double precision and if
     wanted in `morton_order`, and the origin float64[3] of the positions.
 
@@ -104,8 +106,9 @@ def stored_rows(gaussians: Gaussians, along_curve: bool = False
     return rows, origin
 
 
-def gaussians_of(path: Path, rows: dict[str, NDArray[np.float64]],
-                 origin: NDArray[np.float64], offset: NDArray[np.float64] | None) -> Gaussians:
+def gaussians_of(
+    path: Path, rows: dict[str, NDArray[np.float64]], origin: NDArray[np.float64], offset: NDArray[np.float64] | None
+) -> Gaussians:
     """Gaussians in local coordinates, from the values of a file; see `usable`.
 
     Parameters
@@ -121,29 +124,30 @@ def gaussians_of(path: Path, rows: dict[str, NDArray[np.float64]],
     return Gaussians(usable(path, single), round((rows["sh_rest"].shape[1] + 1) ** 0.5) - 1, offset)
 
 
-def usable(path: str | Path, rows: dict[str, NDArray[Any]], most_left_out: float = MOST_LEFT_OUT
-           ) -> dict[str, NDArray[Any]]:
+def usable(
+    path: str | Path, rows: dict[str, NDArray[Any]], most_left_out: float = MOST_LEFT_OUT
+) -> dict[str, NDArray[Any]]:
     """The rows [N, ...] of fields whose numbers are all finite; a warning counts the others.
 
     A logit of +-inf is an opaque or an invisible gaussian, a logarithm of -inf a size of zero:
     finite values stand for these. InputError if more rows than the share `most_left_out` are left
     out; 0 for a file that clsplat wrote.
     """
-    ends = {"opacity_logits": logits(np.array((0.0, 1.0))),
-            "log_scales": np.array((-LARGEST_LOG_SCALE, np.inf))}
+    ends = {"opacity_logits": logits(np.array((0.0, 1.0))), "log_scales": np.array((-LARGEST_LOG_SCALE, np.inf))}
     for name, (low, high) in ends.items():
         if name in rows and not np.isfinite(rows[name]).all():
             rows = {**rows, name: np.nan_to_num(rows[name], nan=np.nan, neginf=low, posinf=high)}
-    finite = np.logical_and.reduce([
-        np.isfinite(values).all(axis=tuple(range(1, values.ndim))) for values in rows.values()])
+    finite = np.logical_and.reduce(
+        [np.isfinite(values).all(axis=tuple(range(1, values.ndim))) for values in rows.values()]
+    )
     count, bad = len(finite), int(np.count_nonzero(~finite))
     if not bad:
         return rows
     if bad > most_left_out * count:
-        raise InputError(f"{path}: {bad} of {count} rows hold numbers that are not finite; export "
-                         "or copy it again")
+        raise InputError(f"{path}: {bad} of {count} rows hold numbers that are not finite; export or copy it again")
     logging.getLogger(__name__).warning(
-        "%s: %d of %d rows hold numbers that are not finite: they are left out", path, bad, count)
+        "%s: %d of %d rows hold numbers that are not finite: they are left out", path, bad, count
+    )
     return {name: values[finite] for name, values in rows.items()}
 
 
@@ -191,9 +195,12 @@ def half_turn(rows: dict[str, NDArray[np.float64]], axis: int) -> dict[str, NDAr
     # as the polynomials of the harmonics change their signs (cl/include/harmonics.h)
     bands = np.array([y, z, x, x * y, y * z, 1, x * z, 1, y, x * y * z, y, z, x, z, x])
     rest = rows["sh_rest"]
-    return {**rows, "positions": rows["positions"] * sign,
-            "quaternions": rows["quaternions"] * np.append(1, sign),
-            "sh_rest": rest * bands[:rest.shape[1], None]}
+    return {
+        **rows,
+        "positions": rows["positions"] * sign,
+        "quaternions": rows["quaternions"] * np.append(1, sign),
+        "sh_rest": rest * bands[: rest.shape[1], None],
+    }
 
 
 def morton_order(positions: NDArray[np.floating]) -> NDArray[np.intp]:
@@ -202,8 +209,7 @@ def morton_order(positions: NDArray[np.floating]) -> NDArray[np.intp]:
     if not len(positions):
         return np.zeros(0, np.intp)
     span = np.maximum(np.ptp(positions, axis=0), np.finfo(np.float64).tiny)
-    cells = ((positions - positions.min(axis=0)) / span * ((1 << MORTON_BITS) - 1)).astype(
-        np.uint64)
+    cells = ((positions - positions.min(axis=0)) / span * ((1 << MORTON_BITS) - 1)).astype(np.uint64)
     code = np.zeros(len(positions), np.uint64)
     for bit, axis in np.ndindex(MORTON_BITS, 3):
         code |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
@@ -217,8 +223,7 @@ def unit(quaternions: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.where(length > 0, values / np.where(length > 0, length, 1), (1.0, 0, 0, 0))
 
 
-def smallest_three(quaternions: NDArray[np.floating]
-                   ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+def smallest_three(quaternions: NDArray[np.floating]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Quaternions [N, 4] of any length without their largest component, which follows from the
     others if they have unit length.
 
@@ -233,8 +238,7 @@ def smallest_three(quaternions: NDArray[np.floating]
     return largest, values[np.arange(4) != largest[:, None]].reshape(-1, 3)
 
 
-def from_smallest_three(largest: NDArray[np.integer], others: NDArray[np.float64]
-                        ) -> NDArray[np.float64]:
+def from_smallest_three(largest: NDArray[np.integer], others: NDArray[np.float64]) -> NDArray[np.float64]:
     """The quaternions float64[N, 4] that `smallest_three` packed."""
     values = np.empty((len(others), 4))
     mask = np.arange(4) != largest[:, None]

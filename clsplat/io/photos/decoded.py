@@ -24,13 +24,21 @@ BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"
 RENDERED = (b"\xff\xd8\xff", b"\x89PNG")
 ORIENTATIONS = {3: 3, 5: 8, 6: 6}  # of EXIF, by LibRaw's number of the turn
 # the same for all photos of a set: LibRaw would else choose brightness and white for each
-DEVELOPED = {"use_camera_wb": True, "no_auto_bright": True, "adjust_maximum_thr": 0.0,
-             "user_flip": 0, "gamma": (2.4, 12.92), "output_bps": 8}  # gamma: that of sRGB
+DEVELOPED = {
+    "use_camera_wb": True,
+    "no_auto_bright": True,
+    "adjust_maximum_thr": 0.0,
+    "user_flip": 0,
+    "gamma": (2.4, 12.92),
+    "output_bps": 8,
+}  # gamma: that of sRGB
 # what metadata.py reads of a TIFF, which camera RAW mostly is: the tags of each directory
 XMP, EXIF_IFD, GPS_IFD = 700, 34665, 34853
 TAGS = (271, 272)
-IFD_TAGS = {EXIF_IFD: (37386, 40962, 40963, 41486, 41487, 41488, 41989, 42033, 42036),
-            GPS_IFD: (1, 2, 3, 4, 5, 6, 9, 31)}
+IFD_TAGS = {
+    EXIF_IFD: (37386, 40962, 40963, 41486, 41487, 41488, 41989, 42033, 42036),
+    GPS_IFD: (1, 2, 3, 4, 5, 6, 9, 31),
+}
 TIFF = {b"II": b"II*\0", b"MM": b"MM\0*"}  # some makers have numbers of their own there
 FUJI = b"FUJI"
 # about tags that a maker writes in a way of its own
@@ -59,8 +67,7 @@ def decoded(source: str | Path | bytes) -> Decoded | None:
         head, size = file.read(12), file.seek(0, io.SEEK_END)
     if head[4:8] == b"ftyp" and head[8:] in BRANDS:
         return _heic(source, size)
-    if isinstance(source, bytes) or head.startswith(RENDERED) or (
-            Path(source).suffix.lower() not in RAW_SUFFIXES):
+    if isinstance(source, bytes) or head.startswith(RENDERED) or (Path(source).suffix.lower() not in RAW_SUFFIXES):
         return None
     return _raw(Path(source), size)
 
@@ -69,8 +76,7 @@ def _library(name: str, package: str, what: str) -> Any:
     try:
         return import_module(name)
     except ImportError:
-        raise ImportError(f"{what} needs {package}, of the extra photos; `pip install pillow-heif "
-                          "rawpy`") from None
+        raise ImportError(f"{what} needs {package}, of the extra photos; `pip install pillow-heif rawpy`") from None
 
 
 def _heic(source: str | Path | bytes, size: int) -> Decoded:
@@ -80,8 +86,9 @@ def _heic(source: str | Path | bytes, size: int) -> Decoded:
     exif, xmp, profile = (heif.info.get(key) or b"" for key in ("exif", "xmp", "icc_profile"))
     width, height = heif.size
     # copied: in some versions of pillow-heif they are memory that goes with the file
-    return Decoded(width, height, len(heif.mode), size, 1, lambda: np.array(read(source)),
-                   lambda: _image_with(exif, xmp), profile)
+    return Decoded(
+        width, height, len(heif.mode), size, 1, lambda: np.array(read(source)), lambda: _image_with(exif, xmp), profile
+    )
 
 
 @contextmanager
@@ -102,8 +109,9 @@ def _raw(path: Path, size: int) -> Decoded:
 
     with _raw_file(path) as raw:
         sizes = raw.sizes
-    return Decoded(sizes.iwidth, sizes.iheight, 3, size, ORIENTATIONS.get(sizes.flip, 1), pixels,
-                   lambda: _raw_header(path))
+    return Decoded(
+        sizes.iwidth, sizes.iheight, 3, size, ORIENTATIONS.get(sizes.flip, 1), pixels, lambda: _raw_header(path)
+    )
 
 
 def _raw_header(path: Path) -> bytes:
@@ -113,8 +121,8 @@ def _raw_header(path: Path) -> bytes:
 
     data = path.read_bytes()
     if data.startswith(FUJI):
-        data = data[data.find(RENDERED[0]):]
-        data = data[data.find(b"Exif\0\0") + 6:]
+        data = data[data.find(RENDERED[0]) :]
+        data = data[data.find(b"Exif\0\0") + 6 :]
     if data[:2] not in TIFF:
         return _image_with(b"", b"")
     found, kept = Image.Exif(), Image.Exif()

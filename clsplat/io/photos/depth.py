@@ -34,8 +34,9 @@ def with_depths(scene: Scene, images: str) -> Scene:
     views = tuple(replace(view, depth=view.depth or map_of(folder, view)) for view in scene.views)
     if not any(view.depth for view in views):
         there = "no such folder" if not folder.is_dir() else "has no depth map for any photo"
-        raise InputError(f"--depth {images}: {folder}: {there}; name the maps after the photos, "
-                         f"such as {scene.views[0].name}.png")
+        raise InputError(
+            f"--depth {images}: {folder}: {there}; name the maps after the photos, such as {scene.views[0].name}.png"
+        )
     return replace(scene, views=views)
 
 
@@ -44,8 +45,9 @@ def map_of(folder: Path, view: View) -> Path | None:
     names = [PurePosixPath(view.name)]
     if isinstance(view.source, Path):  # whose name differs for the faces of a cube
         names.append(names[0].with_name(view.source.name))
-    paths = (folder / f"{stem}{suffix}" for name in names for stem in (name, name.with_suffix(""))
-             for suffix in SUFFIXES)
+    paths = (
+        folder / f"{stem}{suffix}" for name in names for stem in (name, name.with_suffix("")) for suffix in SUFFIXES
+    )
     return next((path for path in paths if path.is_file()), None)
 
 
@@ -72,7 +74,8 @@ def undistorted_depth(view: View, pixels: NDArray[np.float32]) -> NDArray[np.flo
     shown = np.isfinite(pixels[0])
     columns, rows = (
         np.clip((np.nan_to_num(places) * np.float32(side / size)).astype(int), 0, side - 1)
-        for places, side, size in zip(pixels, depth.shape[::-1], lens.size))
+        for places, side, size in zip(pixels, depth.shape[::-1], lens.size)
+    )
     return np.where(shown, depth[rows, columns] / _forward(lens), 0).astype(np.float32)
 
 
@@ -101,6 +104,7 @@ def _read_npy(path: Path) -> NDArray[Any]:
         # mapped, as numpy otherwise allocates what a header claims
         values: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
         if values.ndim != 2 or values.dtype.kind not in "iuf" or not values.size:
-            raise InputError(f"{path}: holds {values.dtype}{list(values.shape)}, not numbers "
-                             "[H, W]; save the depths as such")
+            raise InputError(
+                f"{path}: holds {values.dtype}{list(values.shape)}, not numbers [H, W]; save the depths as such"
+            )
     return values

@@ -21,8 +21,9 @@ Attributes = Mapping[str, str | int | float | tuple[float, ...]]  # of OpenImage
 SPARE_BYTES = 1 << 20  # of the disk, beside twice the pixels of an image
 
 
-def write_image(path: str | Path, pixels: NDArray[Any], quality: int = JPEG_QUALITY,
-                attributes: Attributes = MappingProxyType({})) -> None:
+def write_image(
+    path: str | Path, pixels: NDArray[Any], quality: int = JPEG_QUALITY, attributes: Attributes = MappingProxyType({})
+) -> None:
     """Write an image file, which appears whole or not at all.
 
     Parameters
@@ -44,8 +45,9 @@ def eight_bits(pixels: NDArray[np.floating]) -> NDArray[np.uint8]:
     return scaled.astype(np.uint8)
 
 
-def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object,
-                 attributes: Attributes = MappingProxyType({})) -> bytes:
+def encode_image(
+    pixels: NDArray[Any], suffix: str, quality: int, name: object, attributes: Attributes = MappingProxyType({})
+) -> bytes:
     """Encode an image as the bytes of a file.
 
     OpenImageIO writes to files only, and on a full disk it reports success or, in libjpeg, ends the
@@ -79,8 +81,10 @@ def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object,
 
     with tempfile.TemporaryDirectory(prefix="clsplat-") as folder:
         if shutil.disk_usage(folder).free < 2 * pixels.nbytes + SPARE_BYTES:
-            raise InputError(f"{name}: the folder for temporary files, {tempfile.gettempdir()}, is "
-                             "nearly full; free some space there, or let TMPDIR name another one")
+            raise InputError(
+                f"{name}: the folder for temporary files, {tempfile.gettempdir()}, is "
+                "nearly full; free some space there, or let TMPDIR name another one"
+            )
         path = Path(folder) / f"image.{suffix}"
         written = output.open(str(path), spec) and output.write_image(np.ascontiguousarray(pixels))
         if not (output.close() and written):
@@ -88,8 +92,7 @@ def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object,
         return path.read_bytes()
 
 
-def read_image(source: Source, size: tuple[int, int] | None = None,
-               levels: Levels | None = None) -> NDArray[np.uint8]:
+def read_image(source: Source, size: tuple[int, int] | None = None, levels: Levels | None = None) -> NDArray[np.uint8]:
     """Read a photo as uint8[H, W, 3], sRGB.
 
     Grey becomes three equal channels, alpha is dropped, deeper samples are rounded to 8 bits, and
@@ -105,9 +108,9 @@ def read_image(source: Source, size: tuple[int, int] | None = None,
     return joined(image_bands(source, size, levels=levels), size)
 
 
-def image_bands(source: Source, size: tuple[int, int],
-                window: tuple[int, int, int, int] | None = None,
-                levels: Levels | None = None) -> Iterator[NDArray[np.uint8]]:
+def image_bands(
+    source: Source, size: tuple[int, int], window: tuple[int, int, int, int] | None = None, levels: Levels | None = None
+) -> Iterator[NDArray[np.uint8]]:
     """Yield what `read_image` reads from the top down, uint8[n, W, 3] each, or of a window (left,
     top, right, bottom) in pixels; where the format allows, no more than a few rows of the photo are
     in memory at once."""

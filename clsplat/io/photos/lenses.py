@@ -30,13 +30,19 @@ MOST_TURN = 0.01  # radians, between a ray and that of the pixel to which it pro
 STEP = 1e-3  # relative, by which a ray is turned outwards
 SHORT = 1e-6  # of x/z and y/z, for the focal length in the middle
 # the rotations from a face's camera to the photo's: right, down, forward in columns
-FACES = {"front": ((1, 0, 0), (0, 1, 0), (0, 0, 1)), "right": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
-         "back": ((-1, 0, 0), (0, 1, 0), (0, 0, -1)), "left": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
-         "up": ((1, 0, 0), (0, 0, -1), (0, 1, 0)), "down": ((1, 0, 0), (0, 0, 1), (0, -1, 0))}
+FACES = {
+    "front": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "right": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
+    "back": ((-1, 0, 0), (0, 1, 0), (0, 0, -1)),
+    "left": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
+    "up": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+    "down": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+}
 
 
-def undistorted_model(path: Path | str, arrays: Mapping[str, NDArray[Any]],
-                      models: Sequence[Model | None]) -> dict[str, NDArray[Any]]:
+def undistorted_model(
+    path: Path | str, arrays: Mapping[str, NDArray[Any]], models: Sequence[Model | None]
+) -> dict[str, NDArray[Any]]:
     """The arrays for `checks.checked_scene` after undistortion.
 
     Parameters
@@ -58,12 +64,17 @@ def undistorted_model(path: Path | str, arrays: Mapping[str, NDArray[Any]],
     rows: list[tuple[int, str, Lens | None]] = []  # photo, face or "", lens
     for index, model in enumerate(models):
         try:
-            rows += [(index, face, lens) for face, lens in (
-                [("", None)] if model is None else
-                views_of(*model, tuple(arrays["sizes"][index].tolist())))]
+            rows += [
+                (index, face, lens)
+                for face, lens in (
+                    [("", None)] if model is None else views_of(*model, tuple(arrays["sizes"][index].tolist()))
+                )
+            ]
         except ValueError as error:
-            raise InputError(f"{path}: the camera of image {arrays['names'][index]} cannot be "
-                             f"undistorted ({error}); reconstruct the scene again") from None
+            raise InputError(
+                f"{path}: the camera of image {arrays['names'][index]} cannot be "
+                f"undistorted ({error}); reconstruct the scene again"
+            ) from None
     photos = np.array([index for index, _, _ in rows])
     lenses = np.empty(len(rows), object)
     lenses[:] = [lens for _, _, lens in rows]
@@ -72,9 +83,13 @@ def undistorted_model(path: Path | str, arrays: Mapping[str, NDArray[Any]],
     for name in ("rotations", "translations", "focals", "centres", "sizes"):
         result[name] = arrays[name][photos]
     names = map(str, arrays["names"][photos])
-    result["names"] = np.array([
-        str(PurePosixPath(name).with_suffix(f".{face}{PurePosixPath(name).suffix}"))
-        if face else name for name, (_, face, _) in zip(names, rows)], np.str_)
+    result["names"] = np.array(
+        [
+            str(PurePosixPath(name).with_suffix(f".{face}{PurePosixPath(name).suffix}")) if face else name
+            for name, (_, face, _) in zip(names, rows)
+        ],
+        np.str_,
+    )
     result["rotations"] = turns @ result["rotations"]
     result["translations"] = (turns @ result["translations"][:, :, None])[:, :, 0]
     for row, lens in enumerate(lenses):
@@ -86,25 +101,23 @@ def undistorted_model(path: Path | str, arrays: Mapping[str, NDArray[Any]],
     return {**result, "lenses": lenses, "files": arrays["names"][photos]}
 
 
-def _observations(model: Mapping[str, NDArray[Any]], photos: NDArray[np.int64],
-                  known: NDArray[Any]) -> NDArray[np.int32]:
+def _observations(
+    model: Mapping[str, NDArray[Any]], photos: NDArray[np.int64], known: NDArray[Any]
+) -> NDArray[np.int32]:
     """int32[M, 2], rows (point, view), from rows (point, photo): each in the views that show it."""
-    points_of = [known[rows, 0] for rows in rows_by_view(
-        known[:, 1], 1 + max(photos.max(), known[:, 1].max()))]
+    points_of = [known[rows, 0] for rows in rows_by_view(known[:, 1], 1 + max(photos.max(), known[:, 1].max()))]
     views_of, found = np.bincount(photos), []
     for view, photo in enumerate(photos):
         points = points_of[photo]
         if views_of[photo] > 1:
-            seen = model["points"][points] @ model["rotations"][view].T + model[
-                "translations"][view]
+            seen = model["points"][points] @ model["rotations"][view].T + model["translations"][view]
             pixels = _tangents(seen) * model["focals"][view] + model["centres"][view]
             points = points[((pixels >= 0) & (pixels < model["sizes"][view])).all(axis=1)]
         found.append(np.stack([points, np.full(len(points), view)], axis=1))
     return np.concatenate(found).astype(np.int32)
 
 
-def _lenses(model: str, parameters: tuple[float, ...], size: tuple[int, int]
-            ) -> list[tuple[str, Lens]]:
+def _lenses(model: str, parameters: tuple[float, ...], size: tuple[int, int]) -> list[tuple[str, Lens]]:
     """(face or "", lens) for each view of a photo; ValueError if there is none."""
     whole = Lens(model, size, parameters, np.eye(3), *size, (1.0, 1.0), (0.0, 0.0))
     focal = _middle_focal(whole)
@@ -130,11 +143,25 @@ def _faces(whole: Lens, focal: tuple[float, float]) -> list[tuple[str, Lens]]:
     """The faces of a cube that a wide lens or a panorama shows."""
     side = max(1, int(min(2 * max(focal), LARGEST * max(whole.size))))
     places = np.meshgrid(*2 * [(np.arange(SAMPLES) + 0.5) * side / SAMPLES])
-    faces = [(face, replace(whole, rotation=np.array(rotation, np.float64), width=side, height=side,
-                            focal=(side / 2, side / 2), centre=(side / 2, side / 2)))
-             for face, rotation in FACES.items()]
-    shown = [(face, lens) for face, lens in faces if np.isfinite(
-        _photo_pixels(lens, places, _least_forward(lens))).mean() >= LEAST_COVERED]
+    faces = [
+        (
+            face,
+            replace(
+                whole,
+                rotation=np.array(rotation, np.float64),
+                width=side,
+                height=side,
+                focal=(side / 2, side / 2),
+                centre=(side / 2, side / 2),
+            ),
+        )
+        for face, rotation in FACES.items()
+    ]
+    shown = [
+        (face, lens)
+        for face, lens in faces
+        if np.isfinite(_photo_pixels(lens, places, _least_forward(lens))).mean() >= LEAST_COVERED
+    ]
     if not shown or side < SMALLEST * min(whole.size):
         raise ValueError(f"{whole.model}: the parameters do not describe a lens")
     return shown
@@ -149,8 +176,10 @@ def _sides(lens: Lens) -> list[NDArray[np.float64]]:
     """Rays float64[SAMPLES + 1, 3] of the photo's left, right, top and bottom border, or nan."""
     width, height = lens.size
     along = np.linspace(0, 1, SAMPLES + 1)
-    return [_rays(lens, np.stack([x * width, y * height], axis=1)) for x, y in (
-        (0 * along, along), (0 * along + 1, along), (along, 0 * along), (along, 0 * along + 1))]
+    return [
+        _rays(lens, np.stack([x * width, y * height], axis=1))
+        for x, y in ((0 * along, along), (0 * along + 1, along), (along, 0 * along), (along, 0 * along + 1))
+    ]
 
 
 def _single(lens: Lens, focal: tuple[float, float], borders: list[NDArray[np.float64]]) -> Lens:
@@ -165,16 +194,13 @@ def _single(lens: Lens, focal: tuple[float, float], borders: list[NDArray[np.flo
     inner = [left[:, 0].max(), top[:, 1].max(), right[:, 0].min(), bottom[:, 1].min()]
     every = np.concatenate(ends)
     outer = [*every.min(axis=0), *every.max(axis=0)]
-    low_x, low_y, high_x, high_y = np.clip(
-        inner if _lost(lens, inner) <= MOST_LOST else outer, -most, most).tolist()
+    low_x, low_y, high_x, high_y = np.clip(inner if _lost(lens, inner) <= MOST_LOST else outer, -most, most).tolist()
     sides = np.multiply((high_x - low_x, high_y - low_y), focal)
     if not (sides > SMALLEST * np.array(lens.size)).all():
         raise ValueError(f"{lens.model}: the parameters do not describe a lens")
-    width, height = (int(np.clip(round(side), 1, LARGEST * whole))
-                     for side, whole in zip(sides, lens.size))
+    width, height = (int(np.clip(round(side), 1, LARGEST * whole)) for side, whole in zip(sides, lens.size))
     fx, fy = width / (high_x - low_x), height / (high_y - low_y)
-    return replace(lens, width=width, height=height, focal=(fx, fy),
-                   centre=(-low_x * fx, -low_y * fy))
+    return replace(lens, width=width, height=height, focal=(fx, fy), centre=(-low_x * fx, -low_y * fy))
 
 
 def _tangents(rays: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -200,20 +226,20 @@ def pixel_map(lens: Lens) -> NDArray[np.float32]:
     x, least = np.arange(lens.width) + 0.5, _least_forward(lens)
     for top in range(0, lens.height, step):
         y = np.arange(top, min(top + step, lens.height)) + 0.5
-        result[:, top:top + step] = _photo_pixels(lens, np.meshgrid(x, y), least)
+        result[:, top : top + step] = _photo_pixels(lens, np.meshgrid(x, y), least)
     return result
 
 
 def rays_of(lens: Lens, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
     """float64[N, 3]: the points at depth 1 that pixels x, y [N] of the undistorted photo show, in
     the frame of the stored photo's camera."""
-    return np.stack([
-        (x - lens.centre[0]) / lens.focal[0], (y - lens.centre[1]) / lens.focal[1],
-        np.ones_like(x)], axis=-1) @ lens.rotation.T
+    return (
+        np.stack([(x - lens.centre[0]) / lens.focal[0], (y - lens.centre[1]) / lens.focal[1], np.ones_like(x)], axis=-1)
+        @ lens.rotation.T
+    )
 
 
-def _photo_pixels(lens: Lens, places: Sequence[NDArray[np.float64]], least: float
-                  ) -> NDArray[np.float64]:
+def _photo_pixels(lens: Lens, places: Sequence[NDArray[np.float64]], least: float) -> NDArray[np.float64]:
     """`pixel_map` at places x, y [n, W] each, of rays of `least` cosine to the axis or more."""
     x, y = places
     rays = rays_of(lens, x.ravel(), y.ravel())
@@ -234,13 +260,13 @@ def _photo_pixels(lens: Lens, places: Sequence[NDArray[np.float64]], least: floa
     return pixels.T.reshape(2, *x.shape)
 
 
-def _outwards(lens: Lens, rays: NDArray[np.float64], pixels: NDArray[np.float64]
-              ) -> NDArray[np.bool_]:
+def _outwards(lens: Lens, rays: NDArray[np.float64], pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether rays farther from the axis appear farther from the middle of the photo."""
     farther = rays * np.where(rays[:, 2:] > 0, (1 + STEP, 1 + STEP, 1), (1 - STEP, 1 - STEP, 1))
     middle = _project(lens, np.array([(0.0, 0.0, 1.0)]))
-    outside: NDArray[np.bool_] = (((_project(lens, farther) - middle) ** 2).sum(axis=1)
-                                  >= ((pixels - middle) ** 2).sum(axis=1))
+    outside: NDArray[np.bool_] = ((_project(lens, farther) - middle) ** 2).sum(axis=1) >= ((pixels - middle) ** 2).sum(
+        axis=1
+    )
     return outside
 
 
@@ -254,7 +280,8 @@ def _least_forward(lens: Lens) -> float:
 def _project(lens: Lens, rays: NDArray[np.float64]) -> NDArray[np.float64]:
     """Pixels [N, 2] of the stored photo, of rays float64[N, 3] in its camera's frame."""
     pixels: NDArray[np.float64] = _camera(lens).img_from_cam(
-        np.ascontiguousarray(rays, np.float64), check_cheirality=False)
+        np.ascontiguousarray(rays, np.float64), check_cheirality=False
+    )
     if not _is_wide(lens.model) and lens.model != PANORAMA:
         pixels[rays[:, 2] <= 0] = np.nan
     return pixels
@@ -273,8 +300,6 @@ def _camera(lens: Lens) -> Any:
     import pycolmap
 
     try:
-        return pycolmap.Camera(model=lens.model, width=lens.size[0], height=lens.size[1],
-                               params=list(lens.parameters))
+        return pycolmap.Camera(model=lens.model, width=lens.size[0], height=lens.size[1], params=list(lens.parameters))
     except (ValueError, RuntimeError, KeyError) as error:
-        raise ValueError(f"pycolmap {pycolmap.__version__} does not know {lens.model}; a newer "
-                         "one may") from error
+        raise ValueError(f"pycolmap {pycolmap.__version__} does not know {lens.model}; a newer one may") from error

@@ -59,8 +59,11 @@ class MaskFiles:
         places = [((folder / relative).parent, False) for folder in self._folders]
         if photo is not None and self._beside:
             places.append((photo.parent, True))
-            places += [((above / folder / photo.relative_to(above)).parent, False)
-                       for above in photo.parents[:len(relative.parts)] for folder in FOLDERS]
+            places += [
+                ((above / folder / photo.relative_to(above)).parent, False)
+                for above in photo.parents[: len(relative.parts)]
+                for folder in FOLDERS
+            ]
         names = [relative.name] if photo is None else [relative.name, photo.name]
         for place in places:
             found = self._files(*place)
@@ -92,18 +95,22 @@ def with_masks(scene: Scene, folder: Path) -> Scene:
     """The scene with the masks that its folder has for its photos, and a note."""
     folders = mask_folders(folder)
     files = MaskFiles(folders)
-    views = tuple(view if view.mask is not None else replace(view, mask=files.of(
-        view.name, view.source if isinstance(view.source, Path) else None))
-        for view in scene.views)
+    views = tuple(
+        view
+        if view.mask is not None
+        else replace(view, mask=files.of(view.name, view.source if isinstance(view.source, Path) else None))
+        for view in scene.views
+    )
     count = sum(view.mask is not None for view in views)
     if folders and not count:
-        raise InputError(f"{folders[0]}: has no mask for any photo; name them after the photos,"
-                         f" such as {scene.views[0].name}.png, or rename the folder")
+        raise InputError(
+            f"{folders[0]}: has no mask for any photo; name them after the photos,"
+            f" such as {scene.views[0].name}.png, or rename the folder"
+        )
     if not files.used:
         return replace(scene, views=views)
     places = ", ".join(sorted({f"{mask.parent.name}/" for mask in files.used}))
-    note = (f"{count} of {len(views)} photos have a mask in {places}: dark pixels are left out of "
-            "training and scores")
+    note = f"{count} of {len(views)} photos have a mask in {places}: dark pixels are left out of training and scores"
     return replace(scene, views=views, notes=(*scene.notes, note))
 
 
@@ -124,8 +131,10 @@ def photo_size(view: View) -> tuple[int, int]:
 def check_shape(name: str | Path, kind: str, size: tuple[int, int], photo: tuple[int, int]) -> None:
     """Check that a mask or a depth map has the shape of its photo; sizes are (width, height)."""
     if abs(size[0] * photo[1] / (size[1] * photo[0]) - 1) > TOLERANCE:
-        raise InputError(f"{name}: the {kind} has {size[0]}x{size[1]} pixels and its photo "
-                         f"{photo[0]}x{photo[1]}; make it for this photo")
+        raise InputError(
+            f"{name}: the {kind} has {size[0]}x{size[1]} pixels and its photo "
+            f"{photo[0]}x{photo[1]}; make it for this photo"
+        )
 
 
 def read_mask(source: Source, name: str | Path, photo: tuple[int, int]) -> NDArray[np.bool_]:
@@ -133,12 +142,12 @@ def read_mask(source: Source, name: str | Path, photo: tuple[int, int]) -> NDArr
     w] of any size. The name is for messages."""
     with opened(source) as mask:
         size = mask.width, mask.height
-        grey = joined((band.max(axis=2, keepdims=True) for band in mask.bands(0, mask.height)),
-                      size, 1)[:, :, 0]
+        grey = joined((band.max(axis=2, keepdims=True) for band in mask.bands(0, mask.height)), size, 1)[:, :, 0]
     check_shape(name, "mask", size, photo)
     if grey.max() == 1:
-        raise InputError(f"{name}: its pixels are 0 and 1 of 255, which are both dark; write 255 "
-                         "where the photo counts")
+        raise InputError(
+            f"{name}: its pixels are 0 and 1 of 255, which are both dark; write 255 where the photo counts"
+        )
     bright: NDArray[np.bool_] = np.greater_equal(grey, LEAST_BRIGHT, out=grey.view(bool))
     return bright
 

@@ -23,8 +23,10 @@ UNIT_DEGREES = (1.0, 1 / 60, 1 / 3600)
 DJI = "drone-dji:"
 XMP_BYTES = 1 << 18  # from the beginning of a file, among which XMP is
 # standard deviations of a position, east, north and up: of DJI's RTK, and Pix4D's for other makers
-GPS_STD = ([f"{DJI}RtkStd{axis}" for axis in ("Lon", "Lat", "Hgt")],
-           [f"Camera:GPS{axis}Accuracy" for axis in ("XY", "XY", "Z")])
+GPS_STD = (
+    [f"{DJI}RtkStd{axis}" for axis in ("Lon", "Lat", "Hgt")],
+    [f"Camera:GPS{axis}Accuracy" for axis in ("XY", "XY", "Z")],
+)
 RTK_FLOAT = 34  # DJI's code, from which on RTK works
 DATE, YEARS = "%Y:%m:%d %H:%M:%S", range(1980, 2100)  # of EXIF
 QUARTERS = {3: 2, 6: 1, 8: 3}  # EXIF orientation -> clockwise quarter turns
@@ -66,8 +68,7 @@ class PhotoMetadata:
 
     @property
     def quarter_turns(self) -> int:
-        """How many clockwise quarter turns show the photo upright; mirrored photos are not turned.
-        """
+        """How many clockwise quarter turns show the photo upright; mirrored photos are not turned."""
         return QUARTERS.get(self.orientation, 0)
 
 
@@ -76,14 +77,24 @@ def read_metadata(path: str | Path) -> PhotoMetadata:
     with opened(path) as photo:
         latitude, longitude = _position(photo, path)
         return PhotoMetadata(
-            photo.width, photo.height,
+            photo.width,
+            photo.height,
             photo.orientation if photo.orientation in range(1, 9) else 1,
             _text(photo, "Make", "Model", "Exif:BodySerialNumber"),
             _text(photo, "Exif:LensModel", "Exif:FocalLength"),
-            _focal_pixels(photo), _calibration(photo), latitude, longitude, _altitude(photo),
-            _number(photo, "GPS:AltitudeRef", 3) in (2, 3), _text(photo, "GPS:Status") == "V",
-            _gps_std(photo), _number(photo, f"{DJI}GimbalPitchDegree", 360),
-            _number(photo, f"{DJI}GimbalRollDegree", 360), photo.is_deep, _taken(photo))
+            _focal_pixels(photo),
+            _calibration(photo),
+            latitude,
+            longitude,
+            _altitude(photo),
+            _number(photo, "GPS:AltitudeRef", 3) in (2, 3),
+            _text(photo, "GPS:Status") == "V",
+            _gps_std(photo),
+            _number(photo, f"{DJI}GimbalPitchDegree", 360),
+            _number(photo, f"{DJI}GimbalRollDegree", 360),
+            photo.is_deep,
+            _taken(photo),
+        )
 
 
 def _numbers(photo: Photo, name: str) -> list[float]:
@@ -107,19 +118,24 @@ def _number(photo: Photo, name: str, limit: float) -> float | None:
 
 def _text(photo: Photo, *names: str) -> str:
     values = [photo.attribute(name) for name in names]
-    return " ".join(" ".join((f"{value:.6g}" if isinstance(value, float) else str(value)).split())
-                    for value in values if value)  # floats have 32 bits in the file
+    return " ".join(
+        " ".join((f"{value:.6g}" if isinstance(value, float) else str(value)).split()) for value in values if value
+    )  # floats have 32 bits in the file
 
 
 def _position(photo: Photo, path: str | Path) -> tuple[float, float] | tuple[None, None]:
     """Latitude and longitude, or twice None: of EXIF or, if that has none or whole seconds with
     which it agrees, of XMP."""
     exif = _degrees(photo, "Latitude", "S", 90), _degrees(photo, "Longitude", "W", 180)
-    is_whole = not any(part % 1 for name in ("Latitude", "Longitude")
-                       for part in _numbers(photo, "GPS:" + name))
+    is_whole = not any(part % 1 for name in ("Latitude", "Longitude") for part in _numbers(photo, "GPS:" + name))
     xmp = _xmp_position(photo, path) if None in exif or is_whole else None
-    if xmp and (None in exif or all(abs(rough - fine) <= UNIT_DEGREES[-1]  # type: ignore[operator]
-                                    for rough, fine in zip(exif, xmp))):
+    if xmp and (
+        None in exif
+        or all(
+            abs(rough - fine) <= UNIT_DEGREES[-1]  # type: ignore[operator]
+            for rough, fine in zip(exif, xmp)
+        )
+    ):
         return xmp
     latitude, longitude = exif
     # a receiver without satellites writes zeros
@@ -134,8 +150,10 @@ def _xmp_position(photo: Photo, path: str | Path) -> tuple[float, float] | None:
         return None
     with open_regular(path) as file:
         head = file.read(XMP_BYTES)
-    values = [_finite(re.findall(DJI.encode() + name + rb"\s*(?:=\s*[\"']|>)\s*([-+.\d]+)", head))
-              for name in (b"GpsLatitude", b"GpsLongt?itude")]  # older programs misspell it
+    values = [
+        _finite(re.findall(DJI.encode() + name + rb"\s*(?:=\s*[\"']|>)\s*([-+.\d]+)", head))
+        for name in (b"GpsLatitude", b"GpsLongt?itude")
+    ]  # older programs misspell it
     if not all(values):
         return None
     (latitude, *_), (longitude, *_) = values
@@ -176,7 +194,7 @@ def _altitude(photo: Photo) -> float | None:
 
 def _gps_std(photo: Photo) -> tuple[float, float, float] | None:
     is_rtk = (_number(photo, f"{DJI}RtkFlag", 100) or RTK_FLOAT) >= RTK_FLOAT
-    for names in GPS_STD[not is_rtk:]:
+    for names in GPS_STD[not is_rtk :]:
         values = [_number(photo, name, HIGHEST) or 0.0 for name in names]
         if min(values) > 0:
             east, north, up = values
@@ -212,7 +230,11 @@ def _calibration(photo: Photo) -> Calibration | None:
     scale = _reduction(photo)
     focal_x, focal_y, x, y = (scale * value for value in values[:4])
     size = max(photo.width, photo.height)
-    if not (0.1 * size < min(focal_x, focal_y) and max(focal_x, focal_y) < 100 * size
-            and max(abs(x), abs(y)) < 0.2 * size and max(map(abs, values[4:])) < 10):
+    if not (
+        0.1 * size < min(focal_x, focal_y)
+        and max(focal_x, focal_y) < 100 * size
+        and max(abs(x), abs(y)) < 0.2 * size
+        and max(map(abs, values[4:])) < 10
+    ):
         return None
     return focal_x, focal_y, photo.width / 2 + x, photo.height / 2 + y, *values[4:8]

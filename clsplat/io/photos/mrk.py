@@ -21,13 +21,13 @@ from clsplat.io.regular import read_regular
 NUMBER = r"([-+]?\d+(?:\.\d+)?)"
 LINE = re.compile(
     rf"\s*(\d{{1,9}})\s.*\s{NUMBER}\s*,\s*Lat\s+{NUMBER}\s*,\s*Lon\s+{NUMBER}\s*,\s*Ellh\s+"
-    rf"{NUMBER}\s*,\s*{NUMBER}\s*,\s*{NUMBER}\s+(\d+)\s*,\s*Q")
+    rf"{NUMBER}\s*,\s*{NUMBER}\s*,\s*{NUMBER}\s+(\d+)\s*,\s*Q"
+)
 NAME = re.compile(r"_(\d{4,5})(?:_[A-Z]+)?$")  # DJI_20230101120000_0001_V, 100_0034_0001, DJI_0001
 NEAR = 30.0  # metres from EXIF's position; a position farther away is that of another flight
 
 
-def with_mrk(photos: Iterable[tuple[Path, PhotoMetadata]]
-             ) -> tuple[list[PhotoMetadata], list[str]]:
+def with_mrk(photos: Iterable[tuple[Path, PhotoMetadata]]) -> tuple[list[PhotoMetadata], list[str]]:
     """The metadata of photos, with positions of the MRK files in their folders; and a note on each
     file that gives none.
 
@@ -60,24 +60,34 @@ def _read(path: Path) -> list[tuple[int, PhotoMetadata]]:
             is_rtk = int(match[8]) >= RTK_FLOAT and min(north, east, up) > 0
             std = (east, north, up) if is_rtk else None
             if abs(latitude) <= 90 and abs(longitude) <= 180:
-                result.append((int(match[1]), PhotoMetadata(
-                    0, 0, latitude=latitude, longitude=longitude, altitude=height, gps_std=std)))
+                result.append(
+                    (
+                        int(match[1]),
+                        PhotoMetadata(0, 0, latitude=latitude, longitude=longitude, altitude=height, gps_std=std),
+                    )
+                )
     return result
 
 
-def _nearest(path: Path, known: PhotoMetadata, marks: Sequence[tuple[int, PhotoMetadata]]
-             ) -> PhotoMetadata:
+def _nearest(path: Path, known: PhotoMetadata, marks: Sequence[tuple[int, PhotoMetadata]]) -> PhotoMetadata:
     """The metadata of a photo with the position of the line that is its own, if there is one."""
     name = NAME.search(path.stem)
     found = [mark for number, mark in marks if name and number == int(name[1])]
     places = np.array([(mark.latitude, mark.longitude) for mark in found]).reshape(-1, 2)
     if known.latitude is not None and known.longitude is not None:
         away = METRES_PER_DEGREE * np.linalg.norm(
-            (places - (known.latitude, known.longitude))
-            * (1, np.cos(np.radians(known.latitude))), axis=1)
+            (places - (known.latitude, known.longitude)) * (1, np.cos(np.radians(known.latitude))), axis=1
+        )
         found = [found[row] for row in np.argsort(away)[:1] if away[row] <= NEAR]
     if len(found) != 1:
         return known
     mark = found[0]
-    return replace(known, latitude=mark.latitude, longitude=mark.longitude,
-                   altitude=mark.altitude, above_ellipsoid=True, void=False, gps_std=mark.gps_std)
+    return replace(
+        known,
+        latitude=mark.latitude,
+        longitude=mark.longitude,
+        altitude=mark.altitude,
+        above_ellipsoid=True,
+        void=False,
+        gps_std=mark.gps_std,
+    )

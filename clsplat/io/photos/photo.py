@@ -23,8 +23,19 @@ from clsplat.io.regular import open_regular
 # a header that claims more pixels is damaged: no decoder may allocate memory for it
 MOST_PIXELS = 1 << 30
 PIXELS_PER_BYTE = 1 << 13  # deflate's limit, for samples of one bit
-FORMATS = ("jpeg", "png", "tiff", "webp", "bmp", "gif", "jpeg2000", "jpegxl", "openexr", "pnm",
-           "targa")  # openexr: depth maps
+FORMATS = (
+    "jpeg",
+    "png",
+    "tiff",
+    "webp",
+    "bmp",
+    "gif",
+    "jpeg2000",
+    "jpegxl",
+    "openexr",
+    "pnm",
+    "targa",
+)  # openexr: depth maps
 CONVERT = "convert it to JPEG or PNG"
 # TIFF's PhotometricInterpretation: white is zero, black is zero, RGB, palette, CMYK, YCbCr
 COLOUR_MODELS = (0, 1, 2, 3, 5, 6)
@@ -82,8 +93,7 @@ class Photo:
         """Yield the rows from `top` to `bottom` in order, uint8[n, W, 3], sRGB."""
         for samples in self._bands(top, bottom, "uint16" if self.levels else "uint8"):
             # a list of channels copies them one after the other, and who reads rows copies again
-            pixels = samples[..., :3] if self._channels == (0, 1, 2) else samples[
-                ..., list(self._channels)]
+            pixels = samples[..., :3] if self._channels == (0, 1, 2) else samples[..., list(self._channels)]
             if self.levels:
                 low, high = self.levels
                 grey = (pixels - np.float32(low)) * np.float32(255 / (high - low))
@@ -94,13 +104,11 @@ class Photo:
 
     def samples(self) -> NDArray[np.uint16]:
         """The grey samples of a deep photo, uint16[H, W]."""
-        return np.concatenate([rows[..., self._channels[0]]
-                               for rows in self._bands(0, self.height, "uint16")])
+        return np.concatenate([rows[..., self._channels[0]] for rows in self._bands(0, self.height, "uint16")])
 
     def alpha(self) -> NDArray[np.uint8]:
         """The alpha channel, uint8[H, W]; the photo must have one."""
-        return np.concatenate([rows[..., self._alpha].copy()
-                               for rows in self._bands(0, self.height, "uint8")])
+        return np.concatenate([rows[..., self._alpha].copy() for rows in self._bands(0, self.height, "uint8")])
 
     def _bands(self, top: int, bottom: int, kind: str) -> Iterator[NDArray[Any]]:
         """Samples [n, W, channels] of a kind, "uint8" or "uint16"."""
@@ -111,14 +119,15 @@ class Photo:
         step = max(1, band_rows(self.width, spec.nchannels) // unit) * unit
         for row in range(top // unit * unit, bottom, step):
             end = min(row + step, -(-bottom // unit) * unit, self.height)
-            yield self._rows(row, end, kind)[max(0, top - row):bottom - row]
+            yield self._rows(row, end, kind)[max(0, top - row) : bottom - row]
 
     def _rows(self, begin: int, end: int, kind: str) -> NDArray[Any]:
         spec = self._spec
         low, high, channels = spec.y + begin, spec.y + end, spec.nchannels
         if spec.tile_width:
-            pixels = self._image.read_tiles(spec.x, spec.x + spec.width, low, high, spec.z,
-                                            spec.z + max(1, spec.depth), 0, channels, kind)
+            pixels = self._image.read_tiles(
+                spec.x, spec.x + spec.width, low, high, spec.z, spec.z + max(1, spec.depth), 0, channels, kind
+            )
         else:
             pixels = self._image.read_scanlines(low, high, spec.z, 0, channels, kind)
         return _whole(self.name, self._image, pixels).reshape(end - begin, spec.width, channels)
@@ -128,8 +137,7 @@ def _whole(name: str | Path, image: Any, pixels: NDArray[Any] | None) -> NDArray
     """The samples that OpenImageIO has read; InputError if it could not read all of them."""
     reason = reason_of(image)  # a truncated JPEG is filled with grey and only leaves a message
     if pixels is None or reason:
-        raise InputError(f"{name}: the image is damaged or cut short ({reason}); copy it again, or "
-                         f"{CONVERT}")
+        raise InputError(f"{name}: the image is damaged or cut short ({reason}); copy it again, or {CONVERT}")
     return pixels
 
 
@@ -137,11 +145,9 @@ def _colour_channels(spec: Any, name: str | Path) -> tuple[int, int, int]:
     """The indices of the red, green and blue channels."""
     if spec.get_int_attribute("tiff:PhotometricInterpretation", 2) not in COLOUR_MODELS:
         model = spec.get_string_attribute("tiff:ColorSpace") or "another colour model"
-        raise InputError(f"{name}: a TIFF in {model}, whose colours are not read; "
-                         "convert it to RGB")
+        raise InputError(f"{name}: a TIFF in {model}, whose colours are not read; convert it to RGB")
     if str(spec.format) in (*FLOAT_SAMPLES, "double"):
-        raise InputError(f"{name}: photos with floating point samples, such as EXR, are not read; "
-                         f"{CONVERT}")
+        raise InputError(f"{name}: photos with floating point samples, such as EXR, are not read; {CONVERT}")
     names = [channel.rpartition(".")[2].upper() for channel in spec.channelnames]
     if all(colour in names for colour in "RGB"):
         return names.index("R"), names.index("G"), names.index("B")
@@ -152,10 +158,13 @@ class _ArrayPhoto(Photo):
     """Pixels in memory; see `opened`."""
 
     def __init__(self, pixels: NDArray[Any]) -> None:
-        if pixels.ndim not in (2, 3) or pixels.dtype not in (np.uint8, np.uint16, np.float32) or (
-                pixels.ndim == 3 and not 1 <= pixels.shape[2] <= 4) or not pixels.size:
-            raise InputError(f"a photo is {pixels.dtype}{list(pixels.shape)}; give uint8, uint16 "
-                             "or float32 [H, W, 3]")
+        if (
+            pixels.ndim not in (2, 3)
+            or pixels.dtype not in (np.uint8, np.uint16, np.float32)
+            or (pixels.ndim == 3 and not 1 <= pixels.shape[2] <= 4)
+            or not pixels.size
+        ):
+            raise InputError(f"a photo is {pixels.dtype}{list(pixels.shape)}; give uint8, uint16 or float32 [H, W, 3]")
         self._pixels = pixels.reshape(*pixels.shape[:2], -1)
         self._describe(f"array {list(pixels.shape)}", *self._pixels.shape)
         self.is_deep = pixels.dtype == np.uint16 and self._channels == (0, 0, 0)
@@ -170,7 +179,7 @@ class _ArrayPhoto(Photo):
         pixels = self._pixels
         step = band_rows(self.width, pixels.shape[2])
         for row in range(top, bottom, step):
-            rows = pixels[row:min(row + step, bottom)]
+            rows = pixels[row : min(row + step, bottom)]
             if rows.dtype != kind:
                 whole = 1.0 if rows.dtype == np.float32 else np.iinfo(rows.dtype).max
                 scaled = np.clip(np.nan_to_num(rows), 0, whole) * (np.iinfo(kind).max / whole)
@@ -212,8 +221,7 @@ def _encoded(source: bytes) -> str:
 def _check_claim(name: str | Path, width: int, height: int, stored: int) -> None:
     """InputError if a header claims more pixels than the stored bytes may hold."""
     if not 0 < width * height <= min(MOST_PIXELS, PIXELS_PER_BYTE * stored):
-        raise InputError(f"{name}: damaged: its header claims {width}x{height} pixels; copy it "
-                         "again")
+        raise InputError(f"{name}: damaged: its header claims {width}x{height} pixels; copy it again")
 
 
 def _decoding(name: str | Path) -> AbstractContextManager[None]:
@@ -247,14 +255,14 @@ def first_channel(path: Path) -> NDArray[Any]:
     with _input(path) as (name, image):
         kind = str(image.spec().format)
         if kind not in ("uint16", *FLOAT_SAMPLES):
-            raise InputError(f"{name}: has samples of {kind}; depth maps have 16 bits (millimetres)"
-                             " or floats (the scene's units)")
+            raise InputError(
+                f"{name}: has samples of {kind}; depth maps have 16 bits (millimetres) or floats (the scene's units)"
+            )
         pixels = image.read_image(0, 0, 0, 1, "uint16" if kind == "uint16" else "float")
         return _whole(name, image, pixels)[..., 0]
 
 
-def common_levels(sources: Sequence[Source], deep: Sequence[bool]
-                  ) -> tuple[list[Levels | None], list[str]]:
+def common_levels(sources: Sequence[Source], deep: Sequence[bool]) -> tuple[list[Levels | None], list[str]]:
     """For each photo the lowest and the greatest sample that count in the whole set, so that a
     surface keeps its grey from view to view; None for those that are read as they are. And notes.
 
@@ -267,7 +275,7 @@ def common_levels(sources: Sequence[Source], deep: Sequence[bool]
     """
     read = [source for source, is_deep in zip(sources, deep) if is_deep]
     ends = []
-    for source in read[::-(-len(read) // MOST_READ) or 1]:
+    for source in read[:: -(-len(read) // MOST_READ) or 1]:
         with opened(source) as photo:
             ends.append(np.percentile(photo.samples(), SHARES))
     low, high = (float(np.min(ends)), float(np.max(ends))) if ends else (0.0, 0.0)
@@ -275,7 +283,8 @@ def common_levels(sources: Sequence[Source], deep: Sequence[bool]
         return [None] * len(deep), []
     return [(low, high) if is_deep else None for is_deep in deep], [
         f"{len(read)} of {len(deep)} photos are grey with 16 bits, of which they use {low:.0f} to "
-        f"{high:.0f}: all are stretched alike to 8 bits"]
+        f"{high:.0f}: all are stretched alike to 8 bits"
+    ]
 
 
 @contextmanager
@@ -301,26 +310,25 @@ def _input(source: str | Path | bytes, name: str | Path = "") -> Iterator[tuple[
     image = oiio.ImageInput.open(str(path), config)
     reason = reason_of(oiio)
     if image is None:
-        raise InputError(f"{name}: not an image that can be read ({reason}); "
-                         f"copy it again, or {CONVERT}")
+        raise InputError(f"{name}: not an image that can be read ({reason}); copy it again, or {CONVERT}")
     try:
         if image.format_name() not in FORMATS:
-            raise InputError(f"{name}: photos in the format {image.format_name()} are not read; "
-                             f"{CONVERT}")
+            raise InputError(f"{name}: photos in the format {image.format_name()} are not read; {CONVERT}")
         spec = image.spec()
         _check_claim(name, spec.width, spec.height, size)
         try:
             yield name, image
         except MemoryError:
-            raise InputError(f"{name}: not enough memory for {spec.width}x{spec.height} pixels; "
-                             "free some, or make the photos smaller") from None
+            raise InputError(
+                f"{name}: not enough memory for {spec.width}x{spec.height} pixels; "
+                "free some, or make the photos smaller"
+            ) from None
     finally:
         image.close()
 
 
 def reason_of(library: Any) -> str:
-    """The first line of the last error of OpenImageIO or of one of its files, or an empty string.
-    """
+    """The first line of the last error of OpenImageIO or of one of its files, or an empty string."""
     try:
         text = library.geterror()
     except UnicodeDecodeError as error:  # it quotes the names in a damaged file

@@ -22,8 +22,9 @@ def to_srgb(profile: bytes) -> Any:
 
     try:
         source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
-        found = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), "RGB", "RGB",
-                                        ImageCms.Intent.RELATIVE_COLORIMETRIC)
+        found = ImageCms.buildTransform(
+            source, ImageCms.createProfile("sRGB"), "RGB", "RGB", ImageCms.Intent.RELATIVE_COLORIMETRIC
+        )
     except (OSError, ImageCms.PyCMSError):
         raise ValueError("a damaged profile, or one of other channels") from None
     colours = np.array([list(itertools.product(STEPS, repeat=3))], np.uint8)

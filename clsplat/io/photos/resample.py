@@ -42,19 +42,19 @@ def resample(pixels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uin
     return joined(resampled_bands([pixels], (width, height), size), size, channels)
 
 
-def joined(bands: Iterable[NDArray[np.uint8]], size: tuple[int, int], channels: int = 3
-           ) -> NDArray[np.uint8]:
+def joined(bands: Iterable[NDArray[np.uint8]], size: tuple[int, int], channels: int = 3) -> NDArray[np.uint8]:
     """The image uint8[H, W, channels] of this size (width, height), of bands uint8[n, W, channels]
     from the top down, which are dropped one by one."""
     whole, row = np.empty((size[1], size[0], channels), np.uint8), 0
     for band in bands:
-        whole[row:row + len(band)] = band
+        whole[row : row + len(band)] = band
         row += len(band)
     return whole
 
 
-def resampled_bands(bands: Iterable[NDArray[np.uint8]], old: tuple[int, int], size: tuple[int, int]
-                    ) -> Iterator[NDArray[np.uint8]]:
+def resampled_bands(
+    bands: Iterable[NDArray[np.uint8]], old: tuple[int, int], size: tuple[int, int]
+) -> Iterator[NDArray[np.uint8]]:
     """Yield the rows of `resample` of an image that arrives in bands, from the top down; they do
     not depend on the heights of the bands.
 
@@ -78,14 +78,12 @@ def resampled_bands(bands: Iterable[NDArray[np.uint8]], old: tuple[int, int], si
         for begin in range(done, whole, step):
             end = min(begin + step, whole)
             low, high = begin * old_height // height, -(-end * old_height // height)
-            yield _shrunk(pixels[low - first:high - first], rows_of[begin:end, low:high],
-                          columns_of)
+            yield _shrunk(pixels[low - first : high - first], rows_of[begin:end, low:high], columns_of)
         kept = whole * old_height // height
-        waiting, first, done = [pixels[kept - first:].copy()], kept, whole
+        waiting, first, done = [pixels[kept - first :].copy()], kept, whole
 
 
-def _shrunk(pixels: NDArray[np.uint8], rows_of: csr_matrix, columns_of: csr_matrix
-            ) -> NDArray[np.uint8]:
+def _shrunk(pixels: NDArray[np.uint8], rows_of: csr_matrix, columns_of: csr_matrix) -> NDArray[np.uint8]:
     """uint8[height, width, channels]: sums over rows, then over columns."""
     height, width, channels = rows_of.shape[0], *pixels.shape[1:]
     rows = rows_of @ pixels.reshape(len(pixels), -1).astype(np.float32)
@@ -102,11 +100,11 @@ def _coverage(old: int, new: int) -> csr_matrix:
     borders = np.union1d(np.arange(old + 1) * new, np.arange(new + 1) * old)
     begins, lengths = borders[:-1], np.diff(borders)
     return scipy.sparse.csr_matrix(
-        ((lengths / old).astype(np.float32), (begins // old, begins // new)), shape=(new, old))
+        ((lengths / old).astype(np.float32), (begins // old, begins // new)), shape=(new, old)
+    )
 
 
-def patches(places: NDArray[np.float32], size: tuple[int, int], round_trip: bool = False
-            ) -> Iterator[Patch]:
+def patches(places: NDArray[np.float32], size: tuple[int, int], round_trip: bool = False) -> Iterator[Patch]:
     """Yield the weights of the interpolated image, except for patches without a place: rows and
     columns of the result, bool[n, m] which of its pixels have a place, R rows and columns of the
     image on which they depend, and weights float32[S, R] of the S pixels that have a place.
@@ -134,15 +132,20 @@ def patches(places: NDArray[np.float32], size: tuple[int, int], round_trip: bool
         weights = _kernel(y - row)[:, :, None] * _kernel(x - column)[:, None]
         begins = np.arange(0, indices.size + 1, len(TAPS) ** 2)
         rectangle = slice(low[1], high[1]), slice(low[0], high[0])
-        yield (part, shown, rectangle, scipy.sparse.csr_matrix(
-            (weights.ravel(), indices.ravel(), begins),
-            shape=(len(x), (high[1] - low[1]) * (high[0] - low[0]))))
+        yield (
+            part,
+            shown,
+            rectangle,
+            scipy.sparse.csr_matrix(
+                (weights.ravel(), indices.ravel(), begins), shape=(len(x), (high[1] - low[1]) * (high[0] - low[0]))
+            ),
+        )
 
 
 def _kernel(f: NDArray[np.float32]) -> NDArray[np.float32]:
     """float32[N, 4]: the weights of the pixels around places at shares f [N] of the way from the
     second to the third."""
     half = np.float32(0.5)
-    return half * np.stack([
-        f * (f * (2 - f) - 1), f * f * (3 * f - 5) + 2, f * (f * (4 - 3 * f) + 1),
-        f * f * (f - 1)], axis=1)
+    return half * np.stack(
+        [f * (f * (2 - f) - 1), f * f * (3 * f - 5) + 2, f * (f * (4 - 3 * f) + 1), f * f * (f - 1)], axis=1
+    )

@@ -56,8 +56,7 @@ def undistorted_valid(view: View, pixels: NDArray[np.float32]) -> NDArray[np.boo
     return None if valid.all() else valid
 
 
-def _patches(lens: Lens | None, shape: tuple[int, ...], pixels: NDArray[np.float32]
-             ) -> Iterator[Patch]:
+def _patches(lens: Lens | None, shape: tuple[int, ...], pixels: NDArray[np.float32]) -> Iterator[Patch]:
     """The weights by which an image [h, w, ...] is undistorted, at pixels of the lens's size."""
     assert lens is not None
     size = shape[1], shape[0]
@@ -102,13 +101,29 @@ def _paths(view: View, folder: Path) -> tuple[Path, Path, Path]:
     from."""
     lens = view.lens
     assert lens is not None and isinstance(view.source, Path)
-    content = [VERSION, QUALITY, lens.model, lens.size, lens.parameters, lens.rotation.tolist(),
-               lens.width, lens.height, lens.focal, lens.centre, view.transparent, view.levels,
-               _file_facts(view.source), _file_facts(view.mask)]
+    content = [
+        VERSION,
+        QUALITY,
+        lens.model,
+        lens.size,
+        lens.parameters,
+        lens.rotation.tolist(),
+        lens.width,
+        lens.height,
+        lens.focal,
+        lens.centre,
+        view.transparent,
+        view.levels,
+        _file_facts(view.source),
+        _file_facts(view.mask),
+    ]
     stem = f"{_stem(view)}.{_digest(content)}"
     suffix = ".jpg" if view.source.suffix.lower() in (".jpg", ".jpeg") else ".png"
-    return (folder / f"{stem}{suffix}", folder / f"{stem}.mask.png",
-            folder / f"{stem}.{_digest(_file_facts(view.depth))}.npy")
+    return (
+        folder / f"{stem}{suffix}",
+        folder / f"{stem}.mask.png",
+        folder / f"{stem}.{_digest(_file_facts(view.depth))}.npy",
+    )
 
 
 def _stem(view: View) -> str:
@@ -151,5 +166,12 @@ def _kept(view: View, folder: Path) -> View | None:
     photo, mask, depth = _paths(view, folder)
     if not photo.is_file() or view.depth and not depth.is_file():
         return None
-    return replace(view, source=photo, lens=None, mask=mask if mask.is_file() else None,
-                   transparent=False, levels=None, depth=view.depth and depth)
+    return replace(
+        view,
+        source=photo,
+        lens=None,
+        mask=mask if mask.is_file() else None,
+        transparent=False,
+        levels=None,
+        depth=view.depth and depth,
+    )

@@ -33,8 +33,7 @@ def photo_bands(view: View) -> Iterator[NDArray[np.uint8]]:
     elif camera.whole is None:
         yield from image_bands(view.source, size, levels=view.levels)
     else:
-        yield from image_bands(view.source, size, window_of(camera, image_size(view.source)),
-                               view.levels)
+        yield from image_bands(view.source, size, window_of(camera, image_size(view.source)), view.levels)
 
 
 def read_valid(view: View) -> NDArray[np.bool_] | None:

@@ -82,14 +82,12 @@ class CityFolder:
 
     def read(self, **kinds: type) -> dict[str, Any]:
         """Read city.json; `kinds` are the types of keys that are needed besides `fingerprint`."""
-        return read_object(self.path / CITY, {"fingerprint": str, **kinds},
-                           "give a folder that `clsplat city` wrote")
+        return read_object(self.path / CITY, {"fingerprint": str, **kinds}, "give a folder that `clsplat city` wrote")
 
     def check_there(self) -> None:
         """InputError if the folder holds neither a city nor a coarse run, from which one begins."""
         if not (self.has_record or RunFolder(self.coarse).is_begun):
-            raise InputError(f"{self.path}: holds no city ({CITY} is missing); give a folder that "
-                             "`clsplat city` wrote")
+            raise InputError(f"{self.path}: holds no city ({CITY} is missing); give a folder that `clsplat city` wrote")
 
     def check_free(self) -> None:
         """InputError if a city cannot begin here, because the folder holds a run or a block, or
@@ -99,8 +97,9 @@ class CityFolder:
         if not RunFolder(self.coarse).is_begun:
             foreign += [name for name in present if name != self.coarse.name and name[0] != "."]
         if foreign:
-            raise InputError(f"{self.path}: holds {foreign[-1]}, but no city ({CITY} is missing); "
-                             "choose another --output")
+            raise InputError(
+                f"{self.path}: holds {foreign[-1]}, but no city ({CITY} is missing); choose another --output"
+            )
 
     def add_stage(self, stage: StageTime) -> None:
         """Append a stage to those that were done."""
@@ -114,9 +113,14 @@ class CityFolder:
         for line in read_regular(path).splitlines() if path.is_file() else ():
             with suppress(ValueError, TypeError):
                 record = object_of(line)
-                found.append(StageTime(str(record["name"]), str(record["worker"]),
-                                   number(record["began"], "began"),
-                                   number(record["seconds"], "seconds")))
+                found.append(
+                    StageTime(
+                        str(record["name"]),
+                        str(record["worker"]),
+                        number(record["began"], "began"),
+                        number(record["seconds"], "seconds"),
+                    )
+                )
         return found
 
     def write_partition(self, record: dict[str, Any]) -> None:
@@ -125,8 +129,7 @@ class CityFolder:
 
     def read_partition(self) -> dict[str, Any]:
         """Read partition.json."""
-        return read_object(self.path / PARTITION, {},
-                           f"make it with `clsplat partition {self.path}`")
+        return read_object(self.path / PARTITION, {}, f"make it with `clsplat partition {self.path}`")
 
     def partition(self, scene: Scene | None = None) -> Partition:
         """The partition; InputError if it is damaged, or not of this whole scene."""
@@ -136,8 +139,10 @@ class CityFolder:
                 partition.check_views(len(scene.views))
             return partition
         except DAMAGED as error:
-            raise InputError(f"{self.path / PARTITION}: damaged ({reason(error)}); make it again "
-                             f"with `clsplat partition {self.path}`") from None
+            raise InputError(
+                f"{self.path / PARTITION}: damaged ({reason(error)}); make it again "
+                f"with `clsplat partition {self.path}`"
+            ) from None
 
     def identity(self) -> dict[str, str]:
         """What the record of a block of this city must hold: `city`, the scene's fingerprint, and
@@ -151,15 +156,22 @@ class CityFolder:
 
     def blocks(self) -> list[BlockFolder]:
         """The folders of the existing blocks, by number."""
-        paths = [file.parent for file in self.path.glob(f"blocks/*/{BLOCK}")
-                 if file.parent.name.isdigit()]
+        paths = [file.parent for file in self.path.glob(f"blocks/*/{BLOCK}") if file.parent.name.isdigit()]
         return [BlockFolder(path) for path in sorted(paths, key=lambda path: int(path.name))]
 
-    def write_block(self, number: int, scene: Scene, views: Sequence[int] | NDArray[np.integer],
-                    region: Region, windows: Mapping[str, tuple[int, int, int, int]],
-                    initial: Gaussians, exposures: Mapping[str, Response] | None,
-                    options: Mapping[str, Any], identity: Mapping[str, Any],
-                    visits: Mapping[str, float] | None = None) -> BlockFolder:
+    def write_block(
+        self,
+        number: int,
+        scene: Scene,
+        views: Sequence[int] | NDArray[np.integer],
+        region: Region,
+        windows: Mapping[str, tuple[int, int, int, int]],
+        initial: Gaussians,
+        exposures: Mapping[str, Response] | None,
+        options: Mapping[str, Any],
+        identity: Mapping[str, Any],
+        visits: Mapping[str, float] | None = None,
+    ) -> BlockFolder:
         """Write a block as an ordinary scene folder, with links to photos.
 
         An existing block is left as it is; InputError if it is of another partition. `scene` is the
@@ -173,24 +185,27 @@ class CityFolder:
             # one that an earlier format describes in the same words is the same
             varying = {START: "", FORMAT_KEY: 0}
             if {**block.read(), **varying} != {**record, **varying}:
-                raise InputError(f"{block.path}: holds a block of another partition, or with other "
-                                 "options; remove it, or choose another --output")
+                raise InputError(
+                    f"{block.path}: holds a block of another partition, or with other "
+                    "options; remove it, or choose another --output"
+                )
             link_again(block.path, [scene.views[index] for index in views])
             return block
         part = scene.part(views)
         if not len(part.points):
-            raise InputError(f"{block.path}: the {len(part.views)} views of block {number} see "
-                             "none of the sparse points; use fewer blocks")
+            raise InputError(
+                f"{block.path}: the {len(part.views)} views of block {number} see "
+                "none of the sparse points; use fewer blocks"
+            )
         left = block.path.with_name(block.path.name + PARTIAL)
         shutil.rmtree(left, ignore_errors=True)  # by a process that was killed
         with new_folder(block.path) as partial:
             write_scene(partial, part)
-            write_object(partial / REGION, {**region.record(), WINDOWS: dict(windows),
-                                             VISITS: dict(visits or {})})
+            write_object(partial / REGION, {**region.record(), WINDOWS: dict(windows), VISITS: dict(visits or {})})
             if exposures is not None:
-                write_exposures(partial, {
-                    view.name: exposures[view.name] for view in part.views
-                    if view.name in exposures})
+                write_exposures(
+                    partial, {view.name: exposures[view.name] for view in part.views if view.name in exposures}
+                )
             write_ply(partial / INITIAL, initial, scene.offset, sphere=True)
             record[START] = digest_of(partial / INITIAL)
             write_object(partial / BLOCK, with_format(record))
@@ -242,16 +257,17 @@ class BlockFolder:
         try:
             return Region.from_record(record), dict(record.get(VISITS, {}))
         except DAMAGED as error:
-            raise InputError(f"{path}: damaged ({reason(error)}); partition the city again"
-                             ) from None
+            raise InputError(f"{path}: damaged ({reason(error)}); partition the city again") from None
 
     def check_own(self, model: Path) -> None:
         """InputError for a PLY of another block's training. One of an earlier version does not
         record whose it is, and without `initial` there is nothing to compare with."""
         if (start := start_of(model)) and self.start() not in ("", start):
-            raise InputError(f"{model}: is of another block, partition or city than {self.path}, "
-                             f"as its training did not begin at {self.initial}; put the block's "
-                             f"own there, or remove {self.run}, and run `clsplat city` again")
+            raise InputError(
+                f"{model}: is of another block, partition or city than {self.path}, "
+                f"as its training did not begin at {self.initial}; put the block's "
+                f"own there, or remove {self.run}, and run `clsplat city` again"
+            )
 
     @property
     def is_there(self) -> bool:
@@ -262,8 +278,11 @@ class BlockFolder:
         """Read block.json: at least `number`, `city`, `partition` and `options`, a dict, and these
         counts, which are integers."""
         kinds = {"number": int, "city": str, "partition": str, "options": dict}
-        return read_object(self.path / BLOCK, kinds | dict.fromkeys(counts, int),
-                           "give a folder CITY/blocks/NNN that `clsplat partition` wrote")
+        return read_object(
+            self.path / BLOCK,
+            kinds | dict.fromkeys(counts, int),
+            "give a folder CITY/blocks/NNN that `clsplat partition` wrote",
+        )
 
     def check(self) -> None:
         """InputError if the block lies, perhaps by a link, in another city than its own."""
@@ -271,8 +290,10 @@ class BlockFolder:
         # without one it is a block by itself, on another machine
         for key, value in city.identity().items() if city.has_record else ():
             if record[key] != value:
-                raise InputError(f"{self.path}: a block of another {key} than that of {city.path}; "
-                                 f"remove it, and run `clsplat partition {city.path}` again")
+                raise InputError(
+                    f"{self.path}: a block of another {key} than that of {city.path}; "
+                    f"remove it, and run `clsplat partition {city.path}` again"
+                )
 
 
 def cropped_to_windows(scene: Scene, folder: Path) -> Scene:

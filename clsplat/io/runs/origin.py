@@ -15,9 +15,12 @@ from clsplat.errors import InputError
 
 def origin() -> dict[str, Any]:
     """The keys `version`, `commit`, `date` and `command`; a value that is unknown is None."""
-    return {"version": clsplat.__version__, "commit": checkout_commit(),
-            "date": datetime.now().astimezone().isoformat(timespec="seconds"),
-            "command": _command_line()}
+    return {
+        "version": clsplat.__version__,
+        "commit": checkout_commit(),
+        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "command": _command_line(),
+    }
 
 
 def _command_line() -> str | None:
@@ -34,8 +37,12 @@ def checkout_commit() -> str | None:
         return None
     try:
         done = subprocess.run(
-            ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40",
-             "--exclude=*"], check=False, capture_output=True, text=True, timeout=10)
+            ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=10,
+        )
     except (OSError, subprocess.TimeoutExpired):
         return None
     return done.stdout.strip() or None
@@ -57,13 +64,12 @@ def recorded_scene(record: Mapping[str, Any], folder: Path, given: Path | None =
     InputError if it exists at neither recorded path."""
     if given is not None:
         return Path(given)
-    named = [record[key] for key in ("scene", "scene_absolute")
-             if record.get(key) and isinstance(record[key], str)]
-    places = [Path(os.path.normpath(os.path.join(os.path.realpath(folder), name)))
-              for name in named]
+    named = [record[key] for key in ("scene", "scene_absolute") if record.get(key) and isinstance(record[key], str)]
+    places = [Path(os.path.normpath(os.path.join(os.path.realpath(folder), name))) for name in named]
     for place in places:
         if place.exists():
             return place
     cause = f"its scene {places[-1]} no longer exists" if places else "it names no scene"
-    raise InputError(f"{folder}: {cause}; say where it is, as SCENE to `clsplat train` and "
-                     "with --scene to other commands")
+    raise InputError(
+        f"{folder}: {cause}; say where it is, as SCENE to `clsplat train` and with --scene to other commands"
+    )

@@ -73,22 +73,26 @@ class RunFolder:
     def check_free(self, overwrite: bool) -> None:
         """InputError if a new run, which may replace one if `overwrite`, cannot begin here."""
         if (self.path / CITY).exists():
-            raise InputError(f"{self.path}: holds a city ({CITY}); continue it with `clsplat "
-                             "city`, or choose another folder")
+            raise InputError(
+                f"{self.path}: holds a city ({CITY}); continue it with `clsplat city`, or choose another folder"
+            )
         present = [name for name in FILES if os.path.lexists(self.path / name)]
         if present and not overwrite:
-            raise InputError(f"{self.path}: already holds a run ({present[-1]}); continue it with "
-                             "--resume, replace it with --overwrite, or choose another folder")
+            raise InputError(
+                f"{self.path}: already holds a run ({present[-1]}); continue it with "
+                "--resume, replace it with --overwrite, or choose another folder"
+            )
         if present and not self._is_ours():
-            raise InputError(f"{self.path}: holds {present[-1]}, but no run that clsplat wrote; "
-                             "--overwrite removes runs only: choose another folder")
+            raise InputError(
+                f"{self.path}: holds {present[-1]}, but no run that clsplat wrote; "
+                "--overwrite removes runs only: choose another folder"
+            )
 
     def _is_ours(self) -> bool:
         """Whether clsplat wrote the files of the folder, by its options or, if these are damaged,
         by its metrics."""
         marks = (OPTIONS, b'"version":'), (METRICS, b'{"event":')
-        return any(mark in (self.path / name).read_bytes() for name, mark in marks
-                   if (self.path / name).is_file())
+        return any(mark in (self.path / name).read_bytes() for name, mark in marks if (self.path / name).is_file())
 
     @contextmanager
     def locked(self, patience: float = 0.0) -> Iterator[None]:
@@ -110,8 +114,9 @@ class RunFolder:
         """Open the run of a folder."""
         run = cls(path)
         if not run.is_begun:
-            raise InputError(f"{run.path}: holds no run ({OPTIONS} is missing); "
-                             "give a folder that `clsplat train` wrote")
+            raise InputError(
+                f"{run.path}: holds no run ({OPTIONS} is missing); give a folder that `clsplat train` wrote"
+            )
         return run
 
     def _remove_files(self) -> None:
@@ -146,8 +151,7 @@ class RunFolder:
 
     def read_options(self) -> dict[str, Any]:
         """Read what `write_options` wrote."""
-        return {**EARLIER,
-                **read_object(self.path / OPTIONS, {}, "start the run again with --overwrite")}
+        return {**EARLIER, **read_object(self.path / OPTIONS, {}, "start the run again with --overwrite")}
 
     @property
     def is_begun(self) -> bool:
@@ -167,8 +171,9 @@ class RunFolder:
                 file.write(_line(with_format(record) if is_first else record))
         except OSError as error:
             self._metrics_whole = False
-            raise InputError(f"{path}: cannot be written ({error.strerror}); "
-                             "free some space and continue with --resume") from error
+            raise InputError(
+                f"{path}: cannot be written ({error.strerror}); free some space and continue with --resume"
+            ) from error
 
     def picture(self, name: str) -> Path:
         """Where to write the picture of a held-out view; its folder is created.
@@ -177,8 +182,7 @@ class RunFolder:
         """
         path = self.pictures / f"{name}.png"
         if not path.resolve().is_relative_to(self.pictures.resolve()):
-            raise InputError(f"{name}: a view's name must not leave the folder of pictures; "
-                             "rename it")
+            raise InputError(f"{name}: a view's name must not leave the folder of pictures; rename it")
         make_folder(path.parent)
         return path
 
@@ -192,8 +196,7 @@ class RunFolder:
                 records.append(object_of(line))
                 check_format(path, records[-1])
             except ValueError as error:
-                raise InputError(f"{path}: line {number} is damaged ({reason(error)}); "
-                                 "remove that line") from None
+                raise InputError(f"{path}: line {number} is damaged ({reason(error)}); remove that line") from None
         return records
 
     def add_scores(self, scores: dict[str, Any]) -> None:
@@ -221,8 +224,7 @@ class RunFolder:
         """Whether the run has a checkpoint."""
         return (self.path / CHECKPOINT).is_file()
 
-    def saved_rows(self, iteration: int, positions: Callable[[], NDArray[np.floating]]
-                   ) -> NDArray[np.integer] | None:
+    def saved_rows(self, iteration: int, positions: Callable[[], NDArray[np.floating]]) -> NDArray[np.integer] | None:
         """Which rows, int[K], a checkpoint after so many steps has; None: all. `positions` returns
         those of all rows, [N, 3]."""
         return None
@@ -242,8 +244,9 @@ class RunFolder:
         state = self.load_checkpoint(lambda _: False)[1] if self.has_checkpoint else {}
         return int(state.get("iteration", 0))
 
-    def load_checkpoint(self, wanted: Callable[[str], bool] = lambda name: True
-                        ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    def load_checkpoint(
+        self, wanted: Callable[[str], bool] = lambda name: True
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Load the arrays that are wanted by name, and the state; CRCs are checked."""
         path = self.path / CHECKPOINT
         if not self.has_checkpoint:
@@ -253,8 +256,7 @@ class RunFolder:
             arrays = read_npz(path, lambda name: name == STATE or wanted(name))
             return arrays, state_of(path, arrays.pop(STATE))
 
-    def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = ()
-                   ) -> None:
+    def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = ()) -> None:
         """Replace the finished model; see `ply.write_ply`."""
         write_ply(self.model_path, gaussians, offset, comments)
 
@@ -266,8 +268,7 @@ class RunFolder:
     @property
     def is_finished(self) -> bool:
         """Whether the run is finished with its report, which a part of a city does not have."""
-        return self.has_model and ((self.path / REPORT).is_file()
-                                   or self.read_options().get(PART_OF_CITY) is True)
+        return self.has_model and ((self.path / REPORT).is_file() or self.read_options().get(PART_OF_CITY) is True)
 
     def write_report(self, html: str) -> Path:
         """Replace the report; returns its path."""
@@ -278,8 +279,9 @@ class RunFolder:
     def check_model(self) -> None:
         """InputError if the training is not finished."""
         if not self.has_model:
-            raise InputError(f"{self.model_path}: the run has no model yet; finish it with "
-                             "--resume, or a city with `clsplat merge`")
+            raise InputError(
+                f"{self.model_path}: the run has no model yet; finish it with --resume, or a city with `clsplat merge`"
+            )
 
     def load_model(self, offset: ArrayLike | None = None) -> Gaussians:
         """Load the finished model in the scene's local coordinates; see `ply.read_ply`."""
@@ -294,8 +296,10 @@ def find_runs(path: str | Path) -> list[RunFolder]:
     patterns = (OPTIONS, f"*/{OPTIONS}", f"*/*/{OPTIONS}")
     folders = sorted({file.parent for pattern in patterns for file in path.glob(pattern)})
     if not folders:
-        raise InputError(f"{path}: holds no run ({OPTIONS} is missing here and two levels below); "
-                         "give folders that `clsplat train` wrote")
+        raise InputError(
+            f"{path}: holds no run ({OPTIONS} is missing here and two levels below); "
+            "give folders that `clsplat train` wrote"
+        )
     return [RunFolder.open(folder) for folder in folders]
 
 
@@ -304,15 +308,23 @@ def _line(record: dict[str, Any]) -> bytes:
 
 
 def _whole_lines(data: bytes) -> bytes:
-    return data[:data.rfind(b"\n") + 1]
+    return data[: data.rfind(b"\n") + 1]
 
 
 def write_exposures(folder: Path, responses: Mapping[str, Response]) -> None:
     """Write the responses of views by name into the folder of a run or a block, without rounding:
     the rows [M | t] of the transform, and the vignetting if there is any."""
-    write_object(folder / EXPOSURES, {name: [*response.transform.ravel().tolist(), *(
-        response.vignetting.tolist() if response.has_vignetting else [])]
-        for name, response in responses.items()}, indent=0)
+    write_object(
+        folder / EXPOSURES,
+        {
+            name: [
+                *response.transform.ravel().tolist(),
+                *(response.vignetting.tolist() if response.has_vignetting else []),
+            ]
+            for name, response in responses.items()
+        },
+        indent=0,
+    )
 
 
 def read_exposures(folder: Path) -> dict[str, Response] | None:
@@ -321,15 +333,20 @@ def read_exposures(folder: Path) -> dict[str, Response] | None:
     if not path.is_file():
         return None
     rows = _rows(path, (TRANSFORM, TRANSFORM + VIGNETTING), "a file of exposures")
-    return {name: Response(row.reshape(3, 4)) if len(row) == TRANSFORM else
-            Response(row[:TRANSFORM].reshape(3, 4), row[TRANSFORM:]) for name, row in rows.items()}
+    return {
+        name: Response(row.reshape(3, 4))
+        if len(row) == TRANSFORM
+        else Response(row[:TRANSFORM].reshape(3, 4), row[TRANSFORM:])
+        for name, row in rows.items()
+    }
 
 
 def write_poses(run: Path, corrections: Mapping[str, Correction]) -> None:
     """Write the corrections of views by name, without rounding: six numbers each, the turn and the
     shift in world units. `run` is the folder."""
-    write_object(run / POSES, {name: [*each.turn.tolist(), *each.shift.tolist()]
-                               for name, each in corrections.items()}, indent=0)
+    write_object(
+        run / POSES, {name: [*each.turn.tolist(), *each.shift.tolist()] for name, each in corrections.items()}, indent=0
+    )
 
 
 def read_poses(run: Path) -> dict[str, Correction]:
@@ -344,5 +361,7 @@ def _rows(path: Path, counts: Sequence[int], what: str) -> dict[str, NDArray[np.
     """The numbers of each view, of which there may be so many."""
     with reading(path, what, "copy it again, or train the run that wrote it again"):
         rows = object_of(read_regular(path))
-        return {name: numbers(row, counts[-1] if len(row) != counts[0] else counts[0], name[:80])
-                for name, row in rows.items()}
+        return {
+            name: numbers(row, counts[-1] if len(row) != counts[0] else counts[0], name[:80])
+            for name, row in rows.items()
+        }

@@ -19,8 +19,7 @@ AGAIN = "reconstruct the scene again"
 USABLE = f"finite and below {LARGEST_COORDINATE:g}"
 
 
-def checked_scene(path: Path, name: str, model: Mapping[str, NDArray[Any]],
-                  sources: Sequence[Path]) -> Scene:
+def checked_scene(path: Path, name: str, model: Mapping[str, NDArray[Any]], sources: Sequence[Path]) -> Scene:
     """Check plain arrays and build their scene, not recentred, with its views sorted by name.
 
     Parameters
@@ -38,29 +37,39 @@ def checked_scene(path: Path, name: str, model: Mapping[str, NDArray[Any]],
     for image in names:
         fault = _fault_of_name(image)
         if fault:
-            raise InputError(f"{path}: image name {image[:80]!r} {fault}; rename the photo, or "
-                             f"{AGAIN}")
+            raise InputError(f"{path}: image name {image[:80]!r} {fault}; rename the photo, or {AGAIN}")
     if len(set(names)) != len(names):
         twice = next(image for image in names if names.count(image) > 1)
         raise InputError(f"{path}: image {twice} occurs twice in the model; {AGAIN}")
     for wrong, subject, fault in _faults_of_cameras(model):
         if wrong.any():
-            raise InputError(f"{path}: the {subject} of image {names[np.argmax(wrong)]} {fault} "
-                             f"({wrong.sum()} of {len(names)} images); {AGAIN}")
-    cameras = (Camera(width, height, tuple(focal), tuple(centre), rotation, translation)
-               for (width, height), focal, centre, rotation, translation in zip(
-                   model["sizes"].tolist(), model["focals"].tolist(), model["centres"].tolist(),
-                   np.array(model["rotations"], np.float64),
-                   np.array(model["translations"], np.float64)))
+            raise InputError(
+                f"{path}: the {subject} of image {names[np.argmax(wrong)]} {fault} "
+                f"({wrong.sum()} of {len(names)} images); {AGAIN}"
+            )
+    cameras = (
+        Camera(width, height, tuple(focal), tuple(centre), rotation, translation)
+        for (width, height), focal, centre, rotation, translation in zip(
+            model["sizes"].tolist(),
+            model["focals"].tolist(),
+            model["centres"].tolist(),
+            np.array(model["rotations"], np.float64),
+            np.array(model["translations"], np.float64),
+        )
+    )
     views = map(View, names, cameras, sources, model["lenses"])
     points = np.zeros((0, 3))
     if "points" in model:
         points = np.array(model["points"], np.float64)
         _check_points(path, points)
-    return Scene(name, tuple(sorted(views, key=lambda view: view.name)), points,
-                 np.array(model.get("colours", points), np.uint8), path=path,
-                 observations=_sorted(model["observations"], names)
-                 if len(model.get("observations", ())) else None)
+    return Scene(
+        name,
+        tuple(sorted(views, key=lambda view: view.name)),
+        points,
+        np.array(model.get("colours", points), np.uint8),
+        path=path,
+        observations=_sorted(model["observations"], names) if len(model.get("observations", ())) else None,
+    )
 
 
 def _fault_of_name(name: str) -> str:
@@ -73,11 +82,9 @@ def _fault_of_name(name: str) -> str:
     return "is too long for a file system" if longest > LONGEST_NAME_BYTES else ""
 
 
-def _faults_of_cameras(model: Mapping[str, NDArray[Any]]
-                       ) -> Iterator[tuple[NDArray[np.bool_], str, str]]:
+def _faults_of_cameras(model: Mapping[str, NDArray[Any]]) -> Iterator[tuple[NDArray[np.bool_], str, str]]:
     """bool[V], the images that have a fault, of what, and the fault; each if no other was found."""
-    for key, subject in (("rotations", "pose"), ("translations", "pose"), ("focals", "camera"),
-                         ("centres", "camera")):
+    for key, subject in (("rotations", "pose"), ("translations", "pose"), ("focals", "camera"), ("centres", "camera")):
         yield _unusable(model[key]), subject, f"is not {USABLE}"
     rotations = model["rotations"]
     error = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
@@ -95,15 +102,15 @@ def _unusable(values: NDArray[Any]) -> NDArray[np.bool_]:
 
 def _check_points(path: Path, points: NDArray[np.float64]) -> None:
     if not len(points):
-        raise InputError(f"{path}: the sparse model has no points; {AGAIN} with more overlap "
-                         "between the photos")
+        raise InputError(f"{path}: the sparse model has no points; {AGAIN} with more overlap between the photos")
     wrong = _unusable(points)
     if wrong.any():
-        raise InputError(f"{path}: {wrong.sum()} of {len(points)} points are not {USABLE}; "
-                         f"remove them, or {AGAIN}")
+        raise InputError(f"{path}: {wrong.sum()} of {len(points)} points are not {USABLE}; remove them, or {AGAIN}")
     if (points == points[0]).all():
-        raise InputError(f"{path}: the sparse model's {len(points)} points all lie at one place; "
-                         f"{AGAIN}, or check the units of its points")
+        raise InputError(
+            f"{path}: the sparse model's {len(points)} points all lie at one place; "
+            f"{AGAIN}, or check the units of its points"
+        )
 
 
 def _sorted(observations: NDArray[Any], names: list[str]) -> NDArray[np.int32]:

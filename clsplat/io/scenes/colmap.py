@@ -49,14 +49,17 @@ def read_colmap(folder: Path, images: str = "") -> Scene:
     """
     model, arrays = read_model(folder)
     photos = photo_folder(folder, images)
-    scene = checked_scene(model, folder.resolve().name, arrays,
-                          [photos / name for name in arrays["files"]])
+    scene = checked_scene(model, folder.resolve().name, arrays, [photos / name for name in arrays["files"]])
     largest = max(_numbered_models(folder), key=_bytes, default=model)
     if model.parent.name == "sparse" and _bytes(largest) > _bytes(model):
-        scene = replace(scene, notes=(
-            f"the model sparse/{model.name} is used, and sparse/{largest.name} is larger: COLMAP "
-            "has split the scene; to train the larger part, move it to sparse/0 of a folder of its "
-            "own",))
+        scene = replace(
+            scene,
+            notes=(
+                f"the model sparse/{model.name} is used, and sparse/{largest.name} is larger: COLMAP "
+                "has split the scene; to train the larger part, move it to sparse/0 of a folder of its "
+                "own",
+            ),
+        )
     may_be_smaller = bool(images) or photos.name != IMAGES
     return checked_photos(scene, photos if may_be_smaller else None).recentred()
 
@@ -74,8 +77,10 @@ def read_citygs(folder: Path, images: str = "") -> Scene:
     rgbs/ of each part; the name of a view begins with its part.
     """
     if not (folder / VAL).is_dir():
-        raise InputError(f"{folder / VAL}: missing beside {TRAIN}/; to train without held-out "
-                         f"photos of their own give {folder / TRAIN}")
+        raise InputError(
+            f"{folder / VAL}: missing beside {TRAIN}/; to train without held-out "
+            f"photos of their own give {folder / TRAIN}"
+        )
     (_, train), (_, val) = read_model(folder / TRAIN), read_model(folder / VAL, ("points3D",))
     sources = []
     for part, arrays in ((folder / TRAIN, train), (folder / VAL, val)):
@@ -88,8 +93,7 @@ def read_citygs(folder: Path, images: str = "") -> Scene:
     return replace(scene, held_out=frozenset(map(str, val["names"]))).recentred()
 
 
-def read_model(folder: Path, may_be_empty: Collection[str] = ()
-               ) -> tuple[Path, dict[str, NDArray[Any]]]:
+def read_model(folder: Path, may_be_empty: Collection[str] = ()) -> tuple[Path, dict[str, NDArray[Any]]]:
     """The folder of a scene folder's model, and the arrays of `lenses.undistorted_model`, with
     images sorted by name and points by id, wherever the photos are.
 
@@ -101,39 +105,49 @@ def read_model(folder: Path, may_be_empty: Collection[str] = ()
     listed, images, points = (_part_of(model, part, part in may_be_empty) for part in PARTS)
     images = sorted(images, key=lambda image: image.name)
     ids = np.array([image.number for image in images], np.int64)
-    for part, numbers in (("cameras", np.array([camera.number for camera in listed])),
-                          ("images", ids), ("points3D", points.ids)):
+    for part, numbers in (
+        ("cameras", np.array([camera.number for camera in listed])),
+        ("images", ids),
+        ("points3D", points.ids),
+    ):
         values, counts = np.unique(numbers, return_counts=True)
         if len(values) < len(numbers):
-            raise InputError(f"{model}: {part} holds id {values[np.argmax(counts)]} twice; "
-                             "copy the model again, or reconstruct the scene")
+            raise InputError(
+                f"{model}: {part} holds id {values[np.argmax(counts)]} twice; "
+                "copy the model again, or reconstruct the scene"
+            )
     cameras = {camera.number: camera for camera in listed}
     for image in images:
         if image.camera not in cameras:
-            raise InputError(f"{model}: image {image.name[:80]} has camera {image.camera}, which "
-                             "is not in the model; copy the whole model again")
+            raise InputError(
+                f"{model}: image {image.name[:80]} has camera {image.camera}, which "
+                "is not in the model; copy the whole model again"
+            )
     used = [cameras[image.camera] for image in images]
     order, by_id = np.argsort(points.ids), np.argsort(ids)
     image_of = by_id[np.searchsorted(ids[by_id], points.images).clip(max=len(ids) - 1)]
     seen = np.stack([np.argsort(order)[points.rows], image_of], axis=1)
     # fx, fy, cx, cy; 0 for models with distortion, whose photos get another camera
-    pinholes = np.array([
-        (camera.parameters[0], *camera.parameters[-3:]) if camera.model in PINHOLES else 4 * (0,)
-        for camera in used], np.float64)
+    pinholes = np.array(
+        [(camera.parameters[0], *camera.parameters[-3:]) if camera.model in PINHOLES else 4 * (0,) for camera in used],
+        np.float64,
+    )
     arrays = {
         "names": np.array([image.name for image in images], dtype=np.str_),
         "rotations": _rotations(np.array([image.quaternion for image in images])),
         "translations": np.array([image.translation for image in images]),
-        "focals": pinholes[:, :2], "centres": pinholes[:, 2:],
-        "sizes": np.array([(min(camera.width, LONGEST_SIDE), min(camera.height, LONGEST_SIDE))
-                           for camera in used], np.int64),
+        "focals": pinholes[:, :2],
+        "centres": pinholes[:, 2:],
+        "sizes": np.array(
+            [(min(camera.width, LONGEST_SIDE), min(camera.height, LONGEST_SIDE)) for camera in used], np.int64
+        ),
         "points": points.positions[order],
         "colours": points.colours[order],
         "observations": seen[ids[image_of] == points.images],  # other images are not in the model
     }
-    return model, undistorted_model(model, arrays, [
-        None if camera.model in PINHOLES else (camera.model, camera.parameters)
-        for camera in used])
+    return model, undistorted_model(
+        model, arrays, [None if camera.model in PINHOLES else (camera.model, camera.parameters) for camera in used]
+    )
 
 
 def _find_model(folder: Path) -> Path:
@@ -145,8 +159,10 @@ def _find_model(folder: Path) -> Path:
     others = _numbered_models(folder)
     if others:
         return max(others, key=_bytes)
-    raise InputError(f"{folder}: no COLMAP model in sparse/0, sparse or the folder itself; make a "
-                     "scene with `clsplat sfm` (docs/guide/photos.md), or give another folder")
+    raise InputError(
+        f"{folder}: no COLMAP model in sparse/0, sparse or the folder itself; make a "
+        "scene with `clsplat sfm` (docs/guide/photos.md), or give another folder"
+    )
 
 
 def _is_model(folder: Path, parts: Collection[str] = PARTS) -> bool:
@@ -155,8 +171,10 @@ def _is_model(folder: Path, parts: Collection[str] = PARTS) -> bool:
 
 def _numbered_models(folder: Path) -> list[Path]:
     """The models sparse/N of a scene folder, by number."""
-    return sorted((path for path in (folder / "sparse").glob("*")
-                   if path.name.isdecimal() and _is_model(path)), key=lambda path: int(path.name))
+    return sorted(
+        (path for path in (folder / "sparse").glob("*") if path.name.isdecimal() and _is_model(path)),
+        key=lambda path: int(path.name),
+    )
 
 
 def _bytes(model: Path) -> int:
@@ -186,10 +204,20 @@ def _rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
         unit = np.where(np.abs(length - 1) < 1e-12, quaternions, quaternions / length)
         w, x, y, z = unit.T
         tx, ty, tz = 2 * x, 2 * y, 2 * z
-        return np.stack([
-            1 - (ty * y + tz * z), ty * x - tz * w, tz * x + ty * w,
-            ty * x + tz * w, 1 - (tx * x + tz * z), tz * y - tx * w,
-            tz * x - ty * w, tz * y + tx * w, 1 - (tx * x + ty * y)], axis=1).reshape(-1, 3, 3)
+        return np.stack(
+            [
+                1 - (ty * y + tz * z),
+                ty * x - tz * w,
+                tz * x + ty * w,
+                ty * x + tz * w,
+                1 - (tx * x + tz * z),
+                tz * y - tx * w,
+                tz * x - ty * w,
+                tz * y + tx * w,
+                1 - (tx * x + ty * y),
+            ],
+            axis=1,
+        ).reshape(-1, 3, 3)
 
 
 def read_reconstruction(model: Path) -> pycolmap.Reconstruction:
@@ -200,8 +228,10 @@ def read_reconstruction(model: Path) -> pycolmap.Reconstruction:
     try:
         reconstruction = pycolmap.Reconstruction(model)
     except IndexError:
-        raise InputError(f"{model}: its images lack the observations of its points; write the "
-                         "scene anew with `clsplat pack`, and give that") from None
+        raise InputError(
+            f"{model}: its images lack the observations of its points; write the "
+            "scene anew with `clsplat pack`, and give that"
+        ) from None
     for image in _part_of(model, "images", False):
         reconstruction.images[image.number].name = image.name
     return reconstruction

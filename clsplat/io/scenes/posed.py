@@ -28,8 +28,13 @@ from clsplat.scene import Scene, View
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")  # as files name them
 # those of COLMAP's camera models, after focal length and centre: factors of r^2, r^4, ... (k), of
 # tangential distortion (p), and of the polynomial that divides (d)
-TERMS = {"PINHOLE": "", "OPENCV": "k1 k2 p1 p2", "FULL_OPENCV": "k1 k2 p1 p2 k3 d1 d2 d3",
-         "OPENCV_FISHEYE": "k1 k2 k3 k4", "THIN_PRISM_FISHEYE": "k1 k2 p1 p2 k3 k4 s1 s2"}
+TERMS = {
+    "PINHOLE": "",
+    "OPENCV": "k1 k2 p1 p2",
+    "FULL_OPENCV": "k1 k2 p1 p2 k3 d1 d2 d3",
+    "OPENCV_FISHEYE": "k1 k2 k3 k4",
+    "THIN_PRISM_FISHEYE": "k1 k2 p1 p2 k3 k4 s1 s2",
+}
 BROWN = ("PINHOLE", "OPENCV", "FULL_OPENCV")
 FISHEYE = ("OPENCV_FISHEYE",)
 FLIPPED = np.array([1.0, -1.0, -1.0])  # camera axes right, up, back to right, down, forward
@@ -62,8 +67,13 @@ class Optics:
     model: Model | None = None
 
 
-def optics(size: tuple[int, int], focal: tuple[float, float], centre: tuple[float, float],
-           models: Sequence[str], values: Mapping[str, float]) -> Optics:
+def optics(
+    size: tuple[int, int],
+    focal: tuple[float, float],
+    centre: tuple[float, float],
+    models: Sequence[str],
+    values: Mapping[str, float],
+) -> Optics:
     """The camera with the first of some models (BROWN, FISHEYE) that has all its coefficients.
 
     Parameters
@@ -77,8 +87,10 @@ def optics(size: tuple[int, int], focal: tuple[float, float], centre: tuple[floa
             parameters = (*focal, *centre, *(values.get(term, 0.0) for term in terms))
             return Optics(size, focal, centre, (model, parameters) if terms else None)
     other = next(key for key in used if key not in terms)
-    raise ValueError(f"no camera model of COLMAP has its coefficient {other}; optimise the cameras "
-                     "without it, or export undistorted photos")
+    raise ValueError(
+        f"no camera model of COLMAP has its coefficient {other}; optimise the cameras "
+        "without it, or export undistorted photos"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +109,17 @@ class PosedPhoto:
     mask: Path | None = None  # an image of which pixels count
 
 
-def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: Cloud | None, *,
-                smaller: Path | None = None, georeference: Georeference | None = None,
-                z_is_up: bool = False, notes: Iterable[str] = ()) -> Scene:
+def posed_scene(
+    path: Path,
+    folder: Path,
+    photos: Sequence[PosedPhoto],
+    cloud: Cloud | None,
+    *,
+    smaller: Path | None = None,
+    georeference: Georeference | None = None,
+    z_is_up: bool = False,
+    notes: Iterable[str] = (),
+) -> Scene:
     """Build the scene of a folder and recentre it; photos are checked as by `read_colmap`.
 
     Parameters
@@ -108,14 +128,18 @@ def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: C
     cloud : the points; None: they are sampled where two cameras see, and a warning is logged.
     smaller : as for `checked_photos`.
     """
-    rotations, translations = exact_poses(np.array([photo.rotation for photo in photos]),
-                                          np.array([photo.position for photo in photos]))
+    rotations, translations = exact_poses(
+        np.array([photo.rotation for photo in photos]), np.array([photo.position for photo in photos])
+    )
     optics = [photo.optics for photo in photos]
     arrays = {
-        "names": np.array([photo.name for photo in photos], object), "rotations": rotations,
-        "translations": translations, "focals": np.array([each.focal for each in optics]),
+        "names": np.array([photo.name for photo in photos], object),
+        "rotations": rotations,
+        "translations": translations,
+        "focals": np.array([each.focal for each in optics]),
         "centres": np.array([each.centre for each in optics]),
-        "sizes": np.array([each.size for each in optics])}
+        "sizes": np.array([each.size for each in optics]),
+    }
     if cloud is not None:
         arrays |= {"points": cloud.positions, "colours": cloud.colours}
         if cloud.observations is not None:
@@ -125,23 +149,33 @@ def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: C
     used = [by_name[name] for name in arrays["files"]]
     scene = checked_scene(path, folder.resolve().name, arrays, [photo.source for photo in used])
     by_view = dict(zip(map(str, arrays["names"]), used))
-    scene = checked_photos(replace(
-        scene, notes=tuple(notes), georeference=georeference,
-        given_up=np.array([0.0, 0.0, 1.0]) if z_is_up else None,
-        held_out=frozenset(name for name, photo in by_view.items() if photo.held_out) or None,
-        views=tuple(replace(view, mask=by_view[view.name].mask) for view in scene.views)), smaller)
+    scene = checked_photos(
+        replace(
+            scene,
+            notes=tuple(notes),
+            georeference=georeference,
+            given_up=np.array([0.0, 0.0, 1.0]) if z_is_up else None,
+            held_out=frozenset(name for name, photo in by_view.items() if photo.held_out) or None,
+            views=tuple(replace(view, mask=by_view[view.name].mask) for view in scene.views),
+        ),
+        smaller,
+    )
     if cloud is None:
         points = sample_points(path, scene.views)
         scene = replace(scene, points=points, colours=np.full(points.shape, GREY, np.uint8))
         logging.getLogger(__name__).warning(
             "%s: no sparse points: %d are sampled at random where at least two cameras see; a "
             "model trained from points3D.ply beside it, a COLMAP model or --init FILE (a point "
-            "cloud) is better", path, len(scene.points))
+            "cloud) is better",
+            path,
+            len(scene.points),
+        )
     return scene.recentred()
 
 
-def exact_poses(rotations: NDArray[np.float64], positions: NDArray[np.float64]
-                ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def exact_poses(
+    rotations: NDArray[np.float64], positions: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Rotations float64[V, 3, 3] and translations float64[V, 3] of cameras, world to camera, of
     their rotations as files have them and their positions float64[V, 3].
 
@@ -198,7 +232,8 @@ def sample_points(path: Path, views: Sequence[View]) -> NDArray[np.float64]:
     positions = np.array([camera.position for camera in cameras])
     most = min(POINTS_A_VIEW, max(1, MOST_POINTS // len(cameras)))
     away, nearest = scipy.spatial.cKDTree(positions).query(
-        positions, [*range(1, min(NEIGHBOURS + 1, len(cameras)) + 1)])
+        positions, [*range(1, min(NEIGHBOURS + 1, len(cameras)) + 1)]
+    )
     kept, (low, high), count = [], np.log(DEPTHS), TRIES_A_POINT * most
     for camera, distances, others in zip(cameras, away, nearest):
         pixels = random.uniform((0, 0), (camera.width, camera.height), (count, 2))
@@ -206,12 +241,19 @@ def sample_points(path: Path, views: Sequence[View]) -> NDArray[np.float64]:
             depths = distances[-1] * np.exp(random.uniform(low, high, count))
             rays = np.column_stack([(pixels - camera.centre) / camera.focal, np.ones(count)])
             points = (rays * depths[:, None] - camera.translation) @ camera.rotation
-            seen = np.any([cameras[other].shows(points) & (distance > LEAST_BASE * depths)
-                           for distance, other in zip(distances, others)], axis=0)
+            seen = np.any(
+                [
+                    cameras[other].shows(points) & (distance > LEAST_BASE * depths)
+                    for distance, other in zip(distances, others)
+                ],
+                axis=0,
+            )
             seen &= (np.abs(points) <= LARGEST_COORDINATE).all(axis=1)
         kept.append(points[seen][:most])
     sampled = np.concatenate(kept)
     if len(sampled) < FEWEST_POINTS:
-        raise InputError(f"{path}: no points, and no two cameras see the same place from different "
-                         "positions; put points3D.ply beside it, or reconstruct with COLMAP")
+        raise InputError(
+            f"{path}: no points, and no two cameras see the same place from different "
+            "positions; put points3D.ply beside it, or reconstruct with COLMAP"
+        )
     return sampled

@@ -19,8 +19,13 @@ from clsplat.scene import Scene
 # what finds the file or folder to read, in a folder or as the path itself, and its reader
 Reader = tuple[Callable[[Path], Path | None], Callable[[Path, str], Scene]]
 # ours in the order in which they are asked: NAME -> MODULE, with find_NAME and read_NAME
-READERS = {"citygs": "colmap", "colmap": "colmap", "transforms": "transforms",
-           "opensfm": "projects.opensfm", "metashape": "projects.metashape"}
+READERS = {
+    "citygs": "colmap",
+    "colmap": "colmap",
+    "transforms": "transforms",
+    "opensfm": "projects.opensfm",
+    "metashape": "projects.metashape",
+}
 NAME_PHOTOS = ("read_citygs", "read_transforms")  # these scenes say where theirs are
 # of entry points, by which other packages register readers: NAME = MODULE, with the functions
 # find(path) and read(path, images) as in READERS
@@ -38,24 +43,32 @@ def read_scene(path: str | os.PathLike[str], images: str = "") -> Scene:
     """
     path = Path(path)
     if not os.path.exists(path):
-        raise InputError(f"{path}: no such scene; give a folder of photos, a folder with images "
-                         "and sparse/0, or the file of a project")
+        raise InputError(
+            f"{path}: no such scene; give a folder of photos, a folder with images "
+            "and sparse/0, or the file of a project"
+        )
     if _is_mega_nerf(path):
-        raise InputError(f"{path}: a Mega-NeRF folder, whose metadata need PyTorch; convert them "
-                         "with `python docs/examples/from_mega_nerf.py FOLDER`, then give it again")
+        raise InputError(
+            f"{path}: a Mega-NeRF folder, whose metadata need PyTorch; convert them "
+            "with `python docs/examples/from_mega_nerf.py FOLDER`, then give it again"
+        )
     for find, read in _readers():
         file = find(path)
         if file is None:
             continue
         if images and getattr(read, "__name__", "") in NAME_PHOTOS:
-            raise InputError(f"--images {images}: {path} names its photos itself; leave the "
-                             "option out (it is for folders with a COLMAP model)")
+            raise InputError(
+                f"--images {images}: {path} names its photos itself; leave the "
+                "option out (it is for folders with a COLMAP model)"
+            )
         folder = path if path.is_dir() else path.parent
         scene = with_masks(replace(read(file, images), path=path), folder)
         return placed(cropped_to_windows(scene, folder), folder)
-    raise InputError(f"{path}: not a scene: no COLMAP model in sparse/0, sparse or the folder "
-                     "itself, and no project; of photos, make a scene with `clsplat sfm` or let "
-                     "`clsplat train` do it (docs/guide/photos.md), or give another folder")
+    raise InputError(
+        f"{path}: not a scene: no COLMAP model in sparse/0, sparse or the folder "
+        "itself, and no project; of photos, make a scene with `clsplat sfm` or let "
+        "`clsplat train` do it (docs/guide/photos.md), or give another folder"
+    )
 
 
 def is_scene(folder: Path) -> bool:
@@ -78,13 +91,16 @@ def _readers() -> Iterator[Reader]:
     """Ours, then those of other packages; each is imported only if none before it fits."""
     yield from map(_ours, READERS)
     from importlib.metadata import entry_points
+
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
         try:
             module = entry.load()
             yield module.find, module.read
         except (ImportError, AttributeError) as error:
-            raise InputError(f"{entry.value}: cannot be loaded as a reader of scenes "
-                             f"({reason(error)}); correct or uninstall its package") from error
+            raise InputError(
+                f"{entry.value}: cannot be loaded as a reader of scenes "
+                f"({reason(error)}); correct or uninstall its package"
+            ) from error
 
 
 def fingerprint(scene: Scene) -> str:
@@ -92,6 +108,7 @@ def fingerprint(scene: Scene) -> str:
 
     Photos are left out, since reading them all would take too long.
     """
+
     def stored(values: ArrayLike) -> bytes:
         return np.asarray(values, "<f8").tobytes()
 

@@ -30,8 +30,10 @@ LEADS_AWAY = re.compile(r"\.\.|//?|[A-Za-z]:")  # such parts of a path
 MODEL = ("camera_model", "is_fisheye")
 FOCAL_X, FOCAL_Y = ("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")
 # camera_model -> models of COLMAP
-MODELS = {posed.FISHEYE[0]: posed.FISHEYE, **dict.fromkeys(
-    ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"), posed.BROWN)}
+MODELS = {
+    posed.FISHEYE[0]: posed.FISHEYE,
+    **dict.fromkeys(("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"), posed.BROWN),
+}
 
 
 def find_transforms(path: Path) -> Path | None:
@@ -103,9 +105,15 @@ def _posed_photo(folder: Path, frame: Mapping[str, Any], held_out: bool) -> pose
     focal_y = _focal(frame, *FOCAL_Y, size[1], focal_x)
     centre = (_number(frame, "cx", size[0] / 2), _number(frame, "cy", size[1] / 2))
     mask = frame.get("mask_path")
-    return posed.PosedPhoto(name, source, _optics(frame, size, (focal_x, focal_y), centre),
-                            (pose[:, :3] * posed.FLIPPED).T, pose[:, 3], held_out,
-                            None if mask is None else folder / text(mask, "mask_path"))
+    return posed.PosedPhoto(
+        name,
+        source,
+        _optics(frame, size, (focal_x, focal_y), centre),
+        (pose[:, :3] * posed.FLIPPED).T,
+        pose[:, 3],
+        held_out,
+        None if mask is None else folder / text(mask, "mask_path"),
+    )
 
 
 def _matrix(table: Mapping[str, Any], key: str) -> NDArray[np.float64]:
@@ -128,23 +136,23 @@ def _photo(folder: Path, file_path: object) -> tuple[str, Path]:
     return "/".join(parts), folder / photo
 
 
-def _optics(frame: Mapping[str, Any], size: tuple[int, int], focal: tuple[float, float],
-            centre: tuple[float, float]) -> posed.Optics:
+def _optics(
+    frame: Mapping[str, Any], size: tuple[int, int], focal: tuple[float, float], centre: tuple[float, float]
+) -> posed.Optics:
     if "ftheta_p0" in frame:
         raise ValueError("the lens F-theta is not read; export with OPENCV_FISHEYE")
     name = posed.FISHEYE[0] if frame.get("is_fisheye") else frame.get("camera_model") or "OPENCV"
     if name == PANORAMA:
         return posed.Optics(size, focal, centre, (PANORAMA, tuple(map(float, size))))
     if not isinstance(name, str) or name not in MODELS:
-        raise ValueError(f"camera_model is {str(name)[:40]!r}, not {', '.join(MODELS)} "
-                         f"or {PANORAMA}")
+        raise ValueError(f"camera_model is {str(name)[:40]!r}, not {', '.join(MODELS)} or {PANORAMA}")
     divides = DIVIDES if name == "FULL_OPENCV" else {}
-    return posed.optics(size, focal, centre, MODELS[name], {
-        divides.get(key, key): _number(frame, key, 0) for key in posed.COEFFICIENTS})
+    return posed.optics(
+        size, focal, centre, MODELS[name], {divides.get(key, key): _number(frame, key, 0) for key in posed.COEFFICIENTS}
+    )
 
 
-def _focal(frame: Mapping[str, Any], key: str, angle_key: str, side: int,
-           default: float | None = None) -> float:
+def _focal(frame: Mapping[str, Any], key: str, angle_key: str, side: int, default: float | None = None) -> float:
     """Focal length in pixels, directly or from the angle of view in radians."""
     if key in frame:
         return _number(frame, key)
@@ -169,6 +177,7 @@ def _cloud(folder: Path, table: Mapping[str, Any]) -> posed.Cloud | None:
     file_path = table.get("ply_file_path")
     ply = None if file_path is None else folder / text(file_path, "ply_file_path")
     # nerfstudio applies this to COLMAP's world before it writes poses and PLY
-    transform = (_matrix(table, "applied_transform") if "applied_transform" in table
-                 else np.eye(3, 4)) * _number(table, "applied_scale", 1)
+    transform = (_matrix(table, "applied_transform") if "applied_transform" in table else np.eye(3, 4)) * _number(
+        table, "applied_scale", 1
+    )
     return posed.read_cloud(folder, ply, transform)

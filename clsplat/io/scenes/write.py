@@ -37,7 +37,10 @@ def write_scene(folder: Path, scene: Scene, downscale: float = 1.0, linked: bool
     write_colmap(
         folder / "sparse" / "0",
         [replace(view, camera=view.camera.shifted(-scene.offset)) for view in views],
-        scene.points + scene.offset, scene.colours, scene.observations)
+        scene.points + scene.offset,
+        scene.colours,
+        scene.observations,
+    )
     for view in views:
         kept = downscale == 1 and isinstance(view.source, Path) and not (view.levels or view.lens)
         if not kept:
@@ -51,8 +54,9 @@ def _write_encoded(folder: Path, view: View, suffix: str) -> None:
     valid = read_valid(view)
     images = [(folder / "images" / view.name, read_photo(view), suffix)]
     if valid is not None:
-        images.append((folder / MASKS / f"{view.name}.png",
-                       np.repeat(valid[:, :, None], 3, axis=2) * np.uint8(255), "png"))
+        images.append(
+            (folder / MASKS / f"{view.name}.png", np.repeat(valid[:, :, None], 3, axis=2) * np.uint8(255), "png")
+        )
     for path, pixels, form in images:
         make_folder(path.parent)
         path.write_bytes(encode_image(pixels, form, QUALITY, path))
@@ -76,6 +80,7 @@ def link_again(folder: Path, views: Iterable[View]) -> None:
             try:
                 link.unlink()
             except OSError as error:
-                raise InputError(f"{link}: cannot be replaced ({error.strerror}); check that its "
-                                 "folder may be written") from None
+                raise InputError(
+                    f"{link}: cannot be replaced ({error.strerror}); check that its folder may be written"
+                ) from None
             link_file(file, link)

@@ -22,8 +22,9 @@ def strongest(change: NDArray[np.floating], level: float) -> float:
     return max(float(np.quantile(changes, STRONGEST)) if len(changes) else level, 1e-9)
 
 
-def write_difference(file: BinaryIO, heights: NDArray[np.floating], change: NDArray[np.floating],
-                     pixel: float, level: float, unit: str) -> None:
+def write_difference(
+    file: BinaryIO, heights: NDArray[np.floating], change: NDArray[np.floating], pixel: float, level: float, unit: str
+) -> None:
     """Write a PNG of changes over the shaded surface, with a scale, to a binary file.
 
     Parameters
@@ -40,20 +41,21 @@ def write_difference(file: BinaryIO, heights: NDArray[np.floating], change: NDAr
     low = float(np.min(heights[known]))
     shade: Any = np.ones(heights.shape)
     if min(heights.shape) > 1:
-        shade = 0.45 + 0.5 * LightSource(*SUN).hillshade(np.where(known, heights, low), dx=size,
-                                                         dy=size)
+        shade = 0.45 + 0.5 * LightSource(*SUN).hillshade(np.where(known, heights, low), dx=size, dy=size)
     most = strongest(change, level)
     norm = Normalize(-most, most)
     rows, columns = heights.shape
     extent = (0.0, columns * size, 0.0, rows * size)
     with own_settings():
-        figure = Figure(figsize=(1.1 * columns / DPI + 2, 1.1 * rows / DPI + 1), dpi=DPI,
-                        layout="constrained")
+        figure = Figure(figsize=(1.1 * columns / DPI + 2, 1.1 * rows / DPI + 1), dpi=DPI, layout="constrained")
         axes = figure.subplots()
         axes.imshow(np.where(known, shade, 1.0), extent=extent, cmap="gray", vmin=0, vmax=1)
         axes.imshow(np.ma.masked_invalid(change), extent=extent, cmap=CHANGES, norm=norm)
         axes.set(xlabel=unit, ylabel=unit)
-        figure.colorbar(ScalarMappable(norm, CHANGES), ax=axes, shrink=0.7,
-                        label=f"change of height, {unit}; shown where it is beyond the noise, "
-                              f"{level:.2g} on the ground")
+        figure.colorbar(
+            ScalarMappable(norm, CHANGES),
+            ax=axes,
+            shrink=0.7,
+            label=f"change of height, {unit}; shown where it is beyond the noise, {level:.2g} on the ground",
+        )
         figure.savefig(file, format="png")

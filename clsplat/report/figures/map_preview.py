@@ -27,14 +27,19 @@ def shaded(heights: NDArray[np.floating], size: float) -> tuple[NDArray[np.float
     high = max(high, low + 1e-9)
     pixels: Any = TINTS(Normalize(low, high)(np.where(known, heights, low)))[..., :3]
     if min(heights.shape) > 1:
-        pixels = LightSource(*SUN).shade_rgb(pixels, np.where(known, heights, low), dx=size,
-                                             dy=size, blend_mode="soft")
+        pixels = LightSource(*SUN).shade_rgb(pixels, np.where(known, heights, low), dx=size, dy=size, blend_mode="soft")
     return np.where(known[..., None], pixels, 1.0), low, high
 
 
-def write_preview(file: BinaryIO, colours: NDArray[np.uint8], heights: NDArray[np.floating],
-                  lines: Iterable[NDArray[np.float64]], size: float, interval: float, unit: str
-                  ) -> None:
+def write_preview(
+    file: BinaryIO,
+    colours: NDArray[np.uint8],
+    heights: NDArray[np.floating],
+    lines: Iterable[NDArray[np.float64]],
+    size: float,
+    interval: float,
+    unit: str,
+) -> None:
     """Write a PNG with scales of length and height to a binary file.
 
     Parameters
@@ -50,17 +55,20 @@ def write_preview(file: BinaryIO, colours: NDArray[np.uint8], heights: NDArray[n
     rows, columns = heights.shape
     extent = (0.0, columns * size, 0.0, rows * size)
     with own_settings():
-        figure = Figure(figsize=(2.2 * columns / DPI + 2, 1.1 * rows / DPI + 1), dpi=DPI,
-                        layout="constrained")
+        figure = Figure(figsize=(2.2 * columns / DPI + 2, 1.1 * rows / DPI + 1), dpi=DPI, layout="constrained")
         photo, surface = figure.subplots(1, 2, sharey=True)
         photo.imshow(colours, extent=extent)
         photo.set(xlabel=unit, ylabel=unit)
         surface.imshow(surface_pixels, extent=extent)
         surface.set(xlabel=unit)
         drawn = f"; a line each {interval:g}" if interval else ""
-        figure.colorbar(ScalarMappable(Normalize(low, high), TINTS), ax=surface, shrink=0.6,
-                        label=f"height, {unit}{drawn}")
-        surface.add_collection(LineCollection(
-            [(0.0, extent[3]) + line * (size, -size) for line in lines], colors="black",
-            linewidths=0.4, alpha=0.6), autolim=False)
+        figure.colorbar(
+            ScalarMappable(Normalize(low, high), TINTS), ax=surface, shrink=0.6, label=f"height, {unit}{drawn}"
+        )
+        surface.add_collection(
+            LineCollection(
+                [(0.0, extent[3]) + line * (size, -size) for line in lines], colors="black", linewidths=0.4, alpha=0.6
+            ),
+            autolim=False,
+        )
         figure.savefig(file, format="png")

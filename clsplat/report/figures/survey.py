@@ -54,8 +54,7 @@ class Sheet:
     dots: NDArray[np.float64] | None = None
 
 
-def write_pages(file: BinaryIO, title: str, creator: str, tables: Iterable[Table],
-                sheets: Iterable[Sheet]) -> None:
+def write_pages(file: BinaryIO, title: str, creator: str, tables: Iterable[Table], sheets: Iterable[Sheet]) -> None:
     """Write a PDF to a binary file: tables, then maps. The same content gives the same bytes.
 
     Parameters
@@ -64,15 +63,17 @@ def write_pages(file: BinaryIO, title: str, creator: str, tables: Iterable[Table
     creator : the program and its version.
     tables, sheets : the content; empty tables are left out.
     """
-    with catch_warnings(), own_settings(), PdfPages(file, metadata={
-            "Title": as_utf8(title), "Creator": creator, "CreationDate": None}) as pdf:
+    with (
+        catch_warnings(),
+        own_settings(),
+        PdfPages(file, metadata={"Title": as_utf8(title), "Creator": creator, "CreationDate": None}) as pdf,
+    ):
         simplefilter("ignore", UserWarning)  # of letters that the font has not, as in names
         for figure in drawn_pages(title, creator, tables, sheets):
             pdf.savefig(figure, dpi=DPI)
 
 
-def drawn_pages(title: str, creator: str, tables: Iterable[Table], sheets: Iterable[Sheet]
-                ) -> list[Figure]:
+def drawn_pages(title: str, creator: str, tables: Iterable[Table], sheets: Iterable[Sheet]) -> list[Figure]:
     """The pages of `write_pages`, whose arguments it has."""
     pages = _Pages()
     pages.write([(LEFT, title)], size=18, weight="bold")
@@ -81,11 +82,14 @@ def drawn_pages(title: str, creator: str, tables: Iterable[Table], sheets: Itera
     for sheet in sheets:
         _draw(pages.new(), sheet)
     for number, figure in enumerate(pages.figures, 1):
-        figure.text(LEFT, BOTTOM / 2, as_utf8(textwrap.shorten(f"{title} · {creator}",
-                                                               CHARACTERS)),
-                    fontsize=7, color=LABEL_COLOUR)
-        figure.text(RIGHT, BOTTOM / 2, f"{number} of {len(pages.figures)}", fontsize=7,
-                    color=LABEL_COLOUR, ha="right")
+        figure.text(
+            LEFT,
+            BOTTOM / 2,
+            as_utf8(textwrap.shorten(f"{title} · {creator}", CHARACTERS)),
+            fontsize=7,
+            color=LABEL_COLOUR,
+        )
+        figure.text(RIGHT, BOTTOM / 2, f"{number} of {len(pages.figures)}", fontsize=7, color=LABEL_COLOUR, ha="right")
     return pages.figures
 
 
@@ -102,16 +106,21 @@ class _Pages:
         self._place = TOP
         return self.figures[-1]
 
-    def write(self, cells: Sequence[tuple[float, str]], lines: float = 1, size: float = 9,
-              align: Sequence[str] = (), **style: Any) -> None:
+    def write(
+        self,
+        cells: Sequence[tuple[float, str]],
+        lines: float = 1,
+        size: float = 9,
+        align: Sequence[str] = (),
+        **style: Any,
+    ) -> None:
         """Write a line of cells, each at its place along it, and go down so many lines."""
         height = LINE * lines * size / 9
         if self._place - height < BOTTOM:
             self.new()
         self._place -= height
         for (place, text), side in zip(cells, align or ("left",) * len(cells)):
-            self.figures[-1].text(place, self._place, as_utf8(text), fontsize=size, ha=side,
-                                  **style)
+            self.figures[-1].text(place, self._place, as_utf8(text), fontsize=size, ha=side, **style)
 
     def table(self, table: Table) -> None:
         """Write a table; the last column of one without numbers is wrapped."""
@@ -119,13 +128,17 @@ class _Pages:
             return
         if self._place - 6 * LINE < BOTTOM:  # no heading stands alone
             self.new()
-        rows = [[*(textwrap.shorten(cell, LONGEST, placeholder="...") for cell in row[:-1]),
-                 row[-1]] for row in (table.head, *table.rows)]
+        rows = [
+            [*(textwrap.shorten(cell, LONGEST, placeholder="...") for cell in row[:-1]), row[-1]]
+            for row in (table.head, *table.rows)
+        ]
         width = [max(len(row[column]) for row in rows) + 3 for column in range(len(table.head))]
         ends = LEFT + CHARACTER * np.cumsum(width)
         align = ["right" if column in table.numbers else "left" for column in range(len(width))]
-        places = [end - 3 * CHARACTER if side == "right" else end - CHARACTER * size
-                  for end, side, size in zip(ends, align, width)]
+        places = [
+            end - 3 * CHARACTER if side == "right" else end - CHARACTER * size
+            for end, side, size in zip(ends, align, width)
+        ]
         room = CHARACTERS - sum(width[:-1])
         self.write([], 1)
         self.write([(LEFT, table.title)], 1.3, size=11, weight="bold")
@@ -133,8 +146,9 @@ class _Pages:
             if not any(row):
                 continue
             wrapped = [row[-1]] if table.numbers else textwrap.wrap(row[-1], room) or [""]
-            self.write(list(zip(places, (*row[:-1], wrapped[0]))), align=align,
-                       color=LABEL_COLOUR if number == 0 else "black")
+            self.write(
+                list(zip(places, (*row[:-1], wrapped[0]))), align=align, color=LABEL_COLOUR if number == 0 else "black"
+            )
             for rest in wrapped[1:]:
                 self.write([(places[-1], rest)])
         for note in table.notes:
@@ -151,11 +165,23 @@ def _draw(figure: Figure, sheet: Sheet) -> None:
     axes = figure.add_axes((LEFT + 0.03, 0.2, RIGHT - LEFT - 0.03, 0.66), anchor="N")
     *ends, colours, label = sheet.scale or (0, 1, None, "")
     norm, is_values = Normalize(*ends), sheet.pixels.ndim == 2
-    axes.imshow(np.ma.masked_invalid(sheet.pixels) if is_values else sheet.pixels,
-                extent=(left, right, bottom, top), interpolation="none", norm=norm, cmap=colours)
+    axes.imshow(
+        np.ma.masked_invalid(sheet.pixels) if is_values else sheet.pixels,
+        extent=(left, right, bottom, top),
+        interpolation="none",
+        norm=norm,
+        cmap=colours,
+    )
     if sheet.dots is not None:
-        axes.plot(*sheet.dots.T, "o", color="white", markeredgecolor="black", markersize=3,
-                  markeredgewidth=0.6, linestyle="none")
+        axes.plot(
+            *sheet.dots.T,
+            "o",
+            color="white",
+            markeredgecolor="black",
+            markersize=3,
+            markeredgewidth=0.6,
+            linestyle="none",
+        )
         places = np.concatenate([sheet.dots, [(left, bottom), (right, top)]])
         room = EDGE * np.ptp(places, axis=0)
         low, high = places.min(axis=0) - room, places.max(axis=0) + room
@@ -171,8 +197,12 @@ def _draw(figure: Figure, sheet: Sheet) -> None:
     _scale_and_north(axes, sheet)
     if sheet.scale:
         bar = figure.add_axes((LEFT + 0.15, 0.12, 0.55, 0.014))
-        figure.colorbar(ScalarMappable(norm, colours), cax=bar, orientation="horizontal",
-                        extend="both" if not is_values else "neither").set_label(label, fontsize=9)
+        figure.colorbar(
+            ScalarMappable(norm, colours),
+            cax=bar,
+            orientation="horizontal",
+            extend="both" if not is_values else "neither",
+        ).set_label(label, fontsize=9)
         bar.tick_params(labelsize=8)
 
 
@@ -181,11 +211,28 @@ def _scale_and_north(axes: Axes, sheet: Sheet) -> None:
     low, high = axes.get_xlim()
     power = 10.0 ** np.floor(np.log10(BAR * (high - low)))
     size = power * max(each for each in (1, 2, 5) if each * power <= BAR * (high - low))
-    axes.add_artist(AnchoredSizeBar(
-        axes.transData, float(size), f"{size:,g} {sheet.unit}", "lower left", pad=0.4,
-        borderpad=0.5, sep=3, size_vertical=0.006 * (high - low) * 0.8))
+    axes.add_artist(
+        AnchoredSizeBar(
+            axes.transData,
+            float(size),
+            f"{size:,g} {sheet.unit}",
+            "lower left",
+            pad=0.4,
+            borderpad=0.5,
+            sep=3,
+            size_vertical=0.006 * (high - low) * 0.8,
+        )
+    )
     if sheet.north:
-        axes.annotate("N", (0.95, 0.985), (0.95, 0.90), "axes fraction", ha="center", va="center",
-                      fontsize=10, weight="bold",
-                      arrowprops={"arrowstyle": "-|>", "color": "black", "linewidth": 1.5},
-                      bbox={"boxstyle": "circle,pad=0.2", "color": "white", "alpha": 0.8})
+        axes.annotate(
+            "N",
+            (0.95, 0.985),
+            (0.95, 0.90),
+            "axes fraction",
+            ha="center",
+            va="center",
+            fontsize=10,
+            weight="bold",
+            arrowprops={"arrowstyle": "-|>", "color": "black", "linewidth": 1.5},
+            bbox={"boxstyle": "circle,pad=0.2", "color": "white", "alpha": 0.8},
+        )

@@ -20,8 +20,17 @@ if TYPE_CHECKING:
     from clsplat.training.start.prepare import PreparedScene
 
 PARTS: tuple[type[Part], ...] = (
-    CameraPoses, PhotoResponses, ImageTerm, Reprojection, DepthMaps, Regularisers,
-    PositionNoise, OutlierMasks, EnteringPoints, Average)
+    CameraPoses,
+    PhotoResponses,
+    ImageTerm,
+    Reprojection,
+    DepthMaps,
+    Regularisers,
+    PositionNoise,
+    OutlierMasks,
+    EnteringPoints,
+    Average,
+)
 
 
 def parts_of(prepared: PreparedScene) -> list[Part]:

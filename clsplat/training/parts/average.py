@@ -60,8 +60,7 @@ class Average(Part):
         """Put the mean in the place of the gaussians that are trained."""
         self._add(session)
         model = session.model
-        trained = (np.ones(model.count, bool) if model.frozen is None
-                   else model.frozen.download() == 0)
+        trained = np.ones(model.count, bool) if model.frozen is None else model.frozen.download() == 0
         for name, total in self._sums.items():
             values = on_host(total) / self._samples
             values[~trained] = model.field(name)[~trained]
@@ -78,16 +77,17 @@ class Average(Part):
     def state(self) -> State:
         if not (self._sums and self._model):
             return {}
-        return {**{name: on_host(total) for name, total in self._sums.items()},
-                "samples": np.array(self._samples)}
+        return {**{name: on_host(total) for name, total in self._sums.items()}, "samples": np.array(self._samples)}
 
     def load(self, state: State, session: Session) -> None:
         model = self._model = session.model
         if state:
             self._samples = int(state["samples"])
-        self._sums = {name: values if model.pages else
-                      model.within(partial(model.device.upload, values))
-                      for name, values in state.items() if name != "samples"}
+        self._sums = {
+            name: values if model.pages else model.within(partial(model.device.upload, values))
+            for name, values in state.items()
+            if name != "samples"
+        }
 
 
 def on_host(total: Array | NDArray[Any]) -> NDArray[Any]:

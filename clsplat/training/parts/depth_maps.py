@@ -79,7 +79,8 @@ class DepthMaps(Part):
     def add_to(self, work: ViewPass, inputs: Inputs) -> Array:
         blended = work.frame.blended
         sums, grad_depth, grad_transmittance = compare_depth(
-            work.counts.device, blended.depth, blended.transmittance, inputs["map"], self.weight)
+            work.counts.device, blended.depth, blended.transmittance, inputs["map"], self.weight
+        )
         work.grad.add(depth=grad_depth, transmittance=grad_transmittance)
         return sums
 

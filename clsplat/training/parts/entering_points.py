@@ -79,8 +79,7 @@ class EnteringPoints(Part):
         Thread(target=_make, args=(self.nodes[:], points, options), daemon=True).start()
         return self.nodes[0].result()
 
-    def facts(self, facts: SceneFacts, scene: Scene, views: Sequence[View],
-              gaussians: Gaussians | None) -> SceneFacts:
+    def facts(self, facts: SceneFacts, scene: Scene, views: Sequence[View], gaussians: Gaussians | None) -> SceneFacts:
         return replace(facts, count=self._count)  # of all that will have entered
 
     def before_step(self, session: Session, plan: Plan) -> dict[str, Any] | None:
@@ -94,12 +93,19 @@ class EnteringPoints(Part):
         returns how many they are."""
         step.model.catch_up()
         (was, new), parents = (node.result().rows for node in self.nodes[:2]), self.parents[0]
-        rows = {name: new[name] + (step.model.field(name) - was[name])[parents]
-                for name in CHANGED}
+        rows = {name: new[name] + (step.model.field(name) - was[name])[parents] for name in CHANGED}
         if "anchors" in new:
             rows |= {"anchors": rows["positions"], "max_offsets": new["max_offsets"]}
-        step.replace_rows(Growth(parents.astype(np.uint32), 0, 0, 0, 0, {
-            name: (0, values.astype(np.float32)) for name, values in rows.items()}))
+        step.replace_rows(
+            Growth(
+                parents.astype(np.uint32),
+                0,
+                0,
+                0,
+                0,
+                {name: (0, values.astype(np.float32)) for name, values in rows.items()},
+            )
+        )
         self._drop_coarsest()
         return len(parents)
 
@@ -119,8 +125,7 @@ class EnteringPoints(Part):
                 self._drop_coarsest()
 
 
-def _make(nodes: Sequence[Future[Gaussians]], points: Sequence[Points], options: ScheduledOptions
-          ) -> None:
+def _make(nodes: Sequence[Future[Gaussians]], points: Sequence[Points], options: ScheduledOptions) -> None:
     """Fill in the initial gaussians of all levels."""
     for node, each in zip(nodes, points):
         try:
@@ -131,8 +136,7 @@ def _make(nodes: Sequence[Future[Gaussians]], points: Sequence[Points], options:
 
 def _gaussians(points: Points, options: ScheduledOptions) -> Gaussians:
     """The initial gaussians at points."""
-    gaussians = Gaussians.from_points(points.positions, points.colours.round().astype(np.uint8),
-                                      options.sh_degree)
+    gaussians = Gaussians.from_points(points.positions, points.colours.round().astype(np.uint8), options.sh_degree)
     if options.sphere and "spheres" in schedule_of(options.schedule).parts:
         return with_spheres(gaussians, options.sphere_neighbours)
     return gaussians

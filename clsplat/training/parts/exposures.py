@@ -50,12 +50,18 @@ class PhotoResponses(Part):
     def begin(self, session: Session) -> None:
         options, views = session.options, session.train_views
         known = self._known and [self._known.get(view.name, Response()) for view in views]
-        lenses = None if options.vignetting != "on" else (
-            Lenses.of_responses(known) if known else
-            Lenses.of_cameras([view.camera for view in views]))
+        lenses = (
+            None
+            if options.vignetting != "on"
+            else (Lenses.of_responses(known) if known else Lenses.of_cameras([view.camera for view in views]))
+        )
         self.exposures = Exposures(
-            session.device, len(views), learns=self._learns, lenses=lenses,
-            initial=np.array([response.transform for response in known]) if known else None)
+            session.device,
+            len(views),
+            learns=self._learns,
+            lenses=lenses,
+            initial=np.array([response.transform for response in known]) if known else None,
+        )
         self.skipped = self.exposures.skipped
 
     def recentre(self) -> None:
@@ -67,14 +73,12 @@ class PhotoResponses(Part):
     def adjoint(self, work: ViewPass, inputs: Inputs) -> None:
         """Also take one step of Adam on the response."""
         assert work.grad.image is not None  # the image term is always used
-        work.grad.image, partials = self.exposures.adjoint(
-            work.view, work.camera, work.frame.image, work.grad.image)
+        work.grad.image, partials = self.exposures.adjoint(work.view, work.camera, work.frame.image, work.grad.image)
         self.exposures.step(work.view, partials, work.counts)
 
     def responses(self, session: Session) -> dict[str, Response]:
         """The learned responses of the training views by name."""
-        return {view.name: response for view, response in zip(
-            session.train_views, self.exposures.responses())}
+        return {view.name: response for view, response in zip(session.train_views, self.exposures.responses())}
 
     def state(self) -> State:
         return self.exposures.download()
@@ -93,8 +97,11 @@ def _exposure(survey: Survey) -> Decision:
     small, photos = survey.thumbnails.sampled(SAMPLED_PHOTOS)
     drift = exposure_drift(small, photos, survey.scene.points, survey.scene.colours)
     value = "on" if drift >= DRIFTS else "off"
-    return Decision(value, f"{value}: the brightness of {len(small)} photos varies by "
-                    f"{100 * drift:.1f} % ({100 * DRIFTS:.1f} % counts as drift)")
+    return Decision(
+        value,
+        f"{value}: the brightness of {len(small)} photos varies by "
+        f"{100 * drift:.1f} % ({100 * DRIFTS:.1f} % counts as drift)",
+    )
 
 
 def _vignetting(survey: Survey, exposure: Decision) -> Decision:
@@ -109,5 +116,8 @@ def _vignetting(survey: Survey, exposure: Decision) -> Decision:
     small, photos = survey.thumbnails.sampled(SAMPLED_PHOTOS)
     darker = corner_darkening(small, photos, survey.scene.points)
     value = "on" if darker >= DARKENS else "off"
-    return Decision(value, f"{value}: the corners of {len(small)} photos are {100 * darker:.1f} % "
-                    f"darker than their middle ({100 * DARKENS:.1f} % counts as vignetting)")
+    return Decision(
+        value,
+        f"{value}: the corners of {len(small)} photos are {100 * darker:.1f} % "
+        f"darker than their middle ({100 * DARKENS:.1f} % counts as vignetting)",
+    )

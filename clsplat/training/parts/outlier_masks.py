@@ -65,28 +65,31 @@ def resampled(cells: Cells, height: int, width: int) -> Cells:
     that has its centre."""
     rows, columns = (
         np.minimum(((np.arange(new) + 0.5) * old / new).astype(np.int64), old - 1)
-        for new, old in zip((_cells_along(height), _cells_along(width)), cells.shape))
+        for new, old in zip((_cells_along(height), _cells_along(width)), cells.shape)
+    )
     return cells[np.ix_(rows, columns)]
 
 
-def find_outliers(renderer: Renderer, rows: Rows, sh_degree: int,
-                  views: Callable[[], Iterable[ObservedView]],
-                  shown: Callable[[Array], Rows] | None = None) -> list[Cells]:
+def find_outliers(
+    renderer: Renderer,
+    rows: Rows,
+    sh_degree: int,
+    views: Callable[[], Iterable[ObservedView]],
+    shown: Callable[[Array], Rows] | None = None,
+) -> list[Cells]:
     """The cells of each view that are ignored; waits. `views` returns all training views in their
     order, and is called twice; `shown` is as for `taming_scores`."""
     explained = _Explained(renderer, rows, sh_degree, shown or (lambda camera: rows))
     found = [explained.add(view) for view in views()]
     scale = float(np.median(np.concatenate([each.ravel() for each in found])))
-    return [_outliers(residual, *explained.expected(view, residual), scale)
-            for view, residual in zip(views(), found)]
+    return [_outliers(residual, *explained.expected(view, residual), scale) for view, residual in zip(views(), found)]
 
 
 class _Explained:
     """What the gaussians leave unexplained in all photos together: sums over views of a gaussian's
     blending weights, of these times the residual of their pixels, and how many views see it."""
 
-    def __init__(self, renderer: Renderer, rows: Rows, sh_degree: int,
-                 shown: Callable[[Array], Rows]) -> None:
+    def __init__(self, renderer: Renderer, rows: Rows, sh_degree: int, shown: Callable[[Array], Rows]) -> None:
         self.renderer, self.rows, self.sh_degree, self.shown = renderer, rows, sh_degree, shown
         self.weights, self.errors, self.photos = np.zeros((3, len(rows["positions"])))
 
@@ -110,8 +113,12 @@ class _Explained:
         values[visible, 0] = np.maximum(self.errors[visible] - errors, 0) / np.maximum(other, 1e-9)
         values[visible, 1] = self.photos[visible] - (weights >= MIN_WEIGHT) >= MIN_OTHER_VIEWS
         # both are rendered as colours
-        rows = {**self.rows, "sh_constant": self.renderer.device.upload(
-            ((np.minimum(values, 1) - 0.5) / SH_C0).astype(self.renderer.device.real))}
+        rows = {
+            **self.rows,
+            "sh_constant": self.renderer.device.upload(
+                ((np.minimum(values, 1) - 0.5) / SH_C0).astype(self.renderer.device.real)
+            ),
+        }
         shown = self.renderer.render(rows, view.camera, width, height, 0)
         through = shown.blended.transmittance.download()
         background = self.renderer.background.download()
@@ -121,11 +128,11 @@ class _Explained:
 
     def _frame(self, view: ObservedView) -> Frame:
         _, height, width = view.photo.shape
-        return self.renderer.render(self.shown(view.camera), view.camera, width, height,
-                                    self.sh_degree, exposure=view.exposure)
+        return self.renderer.render(
+            self.shown(view.camera), view.camera, width, height, self.sh_degree, exposure=view.exposure
+        )
 
-    def _sums(self, frame: Frame, view: ObservedView, residual: Floats
-              ) -> tuple[NDArray[np.uint32], Floats, Floats]:
+    def _sums(self, frame: Frame, view: ObservedView, residual: Floats) -> tuple[NDArray[np.uint32], Floats, Floats]:
         """The visible rows of a frame; their weights in it, and these times the residuals."""
         device, pixels = self.renderer.device, spread(residual, *view.photo.shape[1:])
         totals = contribution(device, frame, device.upload(pixels)).download()
@@ -144,8 +151,7 @@ def _residuals(image: NDArray[np.floating], view: ObservedView) -> Floats:
     return np.nan_to_num(found, nan=0.0, posinf=0.0)
 
 
-def _outliers(residual: Floats, expected: Floats, served: NDArray[np.bool_], scale: float
-              ) -> Cells:
+def _outliers(residual: Floats, expected: Floats, served: NDArray[np.bool_], scale: float) -> Cells:
     """The cells of a photo that are ignored, by the residual of each cell and the expected one,
     whether other photos see enough of it, and the median residual of all cells of all photos."""
     least = np.maximum(np.maximum(FACTOR * expected, FLOOR * scale), 1e-9)
@@ -153,8 +159,7 @@ def _outliers(residual: Floats, expected: Floats, served: NDArray[np.bool_], sca
     found = ratio > max(1.0, float(np.quantile(ratio, 1 - MAX_MASKED_SHARE)))
     around = scipy.ndimage.uniform_filter(found.astype(np.float64), 3, mode="nearest")
     coherent: Cells = around > NEIGHBOURS - TINY
-    grown: Cells = scipy.ndimage.uniform_filter(
-        coherent.astype(np.float64), 3, mode="constant") > TINY
+    grown: Cells = scipy.ndimage.uniform_filter(coherent.astype(np.float64), 3, mode="constant") > TINY
     return grown & served if grown.mean() <= MAX_MASKED_SHARE else coherent
 
 
@@ -167,8 +172,7 @@ def _cell_means(values: NDArray[np.floating], valid: NDArray[np.bool_]) -> Float
     sums, counts = np.where(valid, values, 0), valid.astype(np.float64)
     for axis in (-2, -1):
         places = np.arange(0, values.shape[axis], CELL)
-        sums, counts = (np.add.reduceat(each, places, axis=axis, dtype=np.float64)
-                        for each in (sums, counts))
+        sums, counts = (np.add.reduceat(each, places, axis=axis, dtype=np.float64) for each in (sums, counts))
     return sums / np.maximum(counts, 1)
 
 
@@ -211,30 +215,30 @@ class OutlierMasks(Part):
             return None
         session.model.catch_up()
         session.step.release()  # these frames have other sizes
-        cells = find_outliers(session.renderer, session.model.rows, plan.degree,
-                              lambda: _observed(session), session.model.seen)
+        cells = find_outliers(
+            session.renderer, session.model.rows, plan.degree, lambda: _observed(session), session.model.seen
+        )
         session.step.release()
         session.photos.ignore(cells)
         self._calm_since = session.iteration
         share = sum(int(each.sum()) for each in cells) / sum(each.size for each in cells)
-        return {"share": round(share, 6),
-                "most": round(max(float(each.mean()) for each in cells), 6)}
+        return {"share": round(share, 6), "most": round(max(float(each.mean()) for each in cells), 6)}
 
     def state(self) -> State:
         ignored = self._photos.ignored
-        return {"disturbed_at": np.array(self._calm_since), **({} if ignored is None else {
-            "cells": np.packbits(np.concatenate([each.ravel() for each in ignored]))})}
+        return {
+            "disturbed_at": np.array(self._calm_since),
+            **({} if ignored is None else {"cells": np.packbits(np.concatenate([each.ravel() for each in ignored]))}),
+        }
 
     def load(self, state: State, session: Session) -> None:
         self._calm_since = int(state["disturbed_at"])
         if "cells" not in state:
             return
-        shapes = [(_cells_along(view.camera.height), _cells_along(view.camera.width))
-                  for view in session.photos.views]
+        shapes = [(_cells_along(view.camera.height), _cells_along(view.camera.width)) for view in session.photos.views]
         ends = np.cumsum([rows * columns for rows, columns in shapes])
         flat = np.unpackbits(state["cells"], count=int(ends[-1])).astype(bool)
-        session.photos.ignore([each.reshape(shape) for each, shape in zip(
-            np.split(flat, ends[:-1]), shapes)])
+        session.photos.ignore([each.reshape(shape) for each, shape in zip(np.split(flat, ends[:-1]), shapes)])
 
 
 def _observed(session: Session) -> Iterator[ObservedView]:

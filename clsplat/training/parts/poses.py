@@ -46,12 +46,13 @@ class CameraPoses(Part):
 
     def learn(self, work: ViewPass, inputs: Inputs) -> None:
         assert work.gradients.pose_terms is not None  # `needs_pose`
-        self.poses.step(work.view, inputs["rate"], work.given, work.gradients.pose_terms,
-                        work.counts)
+        self.poses.step(work.view, inputs["rate"], work.given, work.gradients.pose_terms, work.counts)
 
     def corrected(self, views: Sequence[View]) -> list[View]:
-        return [replace(view, camera=correction.applied(view.camera))
-                for view, correction in zip(views, self.poses.corrections())]
+        return [
+            replace(view, camera=correction.applied(view.camera))
+            for view, correction in zip(views, self.poses.corrections())
+        ]
 
     def state(self) -> State:
         return self.poses.download()
@@ -61,6 +62,10 @@ class CameraPoses(Part):
 
     def write(self, run: RunFolder, session: Session) -> None:
         """Write poses.json, with shifts in world units."""
-        write_poses(run.path, {
-            view.name: Correction(each.turn, each.shift * session.scene.unit)
-            for view, each in zip(session.train_views, self.poses.corrections())})
+        write_poses(
+            run.path,
+            {
+                view.name: Correction(each.turn, each.shift * session.scene.unit)
+                for view, each in zip(session.train_views, self.poses.corrections())
+            },
+        )

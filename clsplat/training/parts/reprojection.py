@@ -36,11 +36,14 @@ class Reprojection(Part):
         neighbours = [adjacent.tolist() for adjacent in choose_source_views(survey.scene, views)]
         paired = sum(len(adjacent) > 0 for adjacent in neighbours)
         if paired:
-            return {"reproject": Decision(
-                "on", f"on: {paired} of {len(views)} photos have an adjacent one", neighbours)}
+            return {
+                "reproject": Decision("on", f"on: {paired} of {len(views)} photos have an adjacent one", neighbours)
+            }
         if options.reproject == "on":
-            raise InputError(f"{survey.scene.name}: --reproject on needs two photos that share 20 "
-                             "sparse points; there are none: use --reproject auto or off")
+            raise InputError(
+                f"{survey.scene.name}: --reproject on needs two photos that share 20 "
+                "sparse points; there are none: use --reproject auto or off"
+            )
         return {"reproject": Decision("off", "off: no two photos share 20 sparse points")}
 
     @classmethod
@@ -49,12 +52,10 @@ class Reprojection(Part):
 
     def begin(self, session: Session) -> None:
         responses = session.part(PhotoResponses)
-        self._device, self._photos, self._seed = (session.device, session.photos,
-                                                  session.options.seed)
+        self._device, self._photos, self._seed = (session.device, session.photos, session.options.seed)
         self._exposures = responses.exposures if responses else None
         self._neighbours: list[list[int]] = session.decisions.parts["reproject"].found
-        self._pairs = [(view, other) for view, adjacent in enumerate(self._neighbours)
-                       for other in adjacent]
+        self._pairs = [(view, other) for view, adjacent in enumerate(self._neighbours) for other in adjacent]
         self._first = np.cumsum([0, *map(len, self._neighbours)])  # row of a view's first pair
         # transforms from colours of the source photo to those of the reference photo, real[P, 12]
         self._colours = self._device.upload(np.tile(np.eye(3, 4).ravel(), (len(self._pairs), 1)))
@@ -63,7 +64,8 @@ class Reprojection(Part):
     def begin_level(self, session: Session) -> None:
         cameras = [view.camera for view in session.photos.views]
         self._geometries = pack_pairs(  # real[P, 12], between pixels
-            self._device, [(cameras[i], cameras[j]) for i, j in self._pairs])
+            self._device, [(cameras[i], cameras[j]) for i, j in self._pairs]
+        )
 
     def recentre(self) -> None:
         if self._exposures:  # which were recentred before
@@ -81,9 +83,13 @@ class Reprojection(Part):
 
     def inputs(self, now: Now, sample: TrainingSample) -> Inputs | None:
         pair = self._drawn(sample.number, sample.view) if now.plan.regularises else None
-        return pair and {"photo": self._photos[pair[1]], "geometries": self._geometries,
-                         "colours": self._colours, "pair": pair[0],
-                         "weight": float(now.plan.regularises)}
+        return pair and {
+            "photo": self._photos[pair[1]],
+            "geometries": self._geometries,
+            "colours": self._colours,
+            "pair": pair[0],
+            "weight": float(now.plan.regularises),
+        }
 
     def read_ahead(self, plan: Plan, view: int, number: int) -> Sequence[int]:
         pair = self._drawn(number, view) if plan.regularises else None
@@ -92,8 +98,16 @@ class Reprojection(Part):
     def add_to(self, work: ViewPass, inputs: Inputs) -> None:
         blended = work.frame.blended
         _, grad_depth, grad_transmittance = reproject(
-            work.counts.device, blended.depth, blended.transmittance, work.photo, inputs["photo"],
-            inputs["geometries"], inputs["colours"], inputs["pair"], inputs["weight"])
+            work.counts.device,
+            blended.depth,
+            blended.transmittance,
+            work.photo,
+            inputs["photo"],
+            inputs["geometries"],
+            inputs["colours"],
+            inputs["pair"],
+            inputs["weight"],
+        )
         work.grad.add(depth=grad_depth, transmittance=grad_transmittance)
 
     def load(self, state: State, session: Session) -> None:

@@ -29,8 +29,14 @@ from clsplat.training.start.initialise import Start, first_gaussians
 from clsplat.training.start.prepare import PreparedScene
 
 
-def begin(prepared: PreparedScene, device: Device, folder: Path, progress: SilentProgress,
-          gaussians: Gaussians | None = None, level: float = 0.0) -> tuple[Session, float]:
+def begin(
+    prepared: PreparedScene,
+    device: Device,
+    folder: Path,
+    progress: SilentProgress,
+    gaussians: Gaussians | None = None,
+    level: float = 0.0,
+) -> tuple[Session, float]:
     """A session that is ready for its first step, and the seconds in which its gaussians were
     found; `gaussians` and `level` are those of a run that goes on.
 
@@ -44,20 +50,22 @@ def begin(prepared: PreparedScene, device: Device, folder: Path, progress: Silen
         threads = ThreadPoolExecutor(THREADS)
         reading.callback(threads.shutdown, wait=False, cancel_futures=True)
         checks = reading.enter_context(closing(begin_checks(prepared.test_views)))
-        begun = (level, reading.enter_context(closing(begin_photos(
-            device, prepared.train_views, level, folder)))) if level else None
+        begun = (
+            (level, reading.enter_context(closing(begin_photos(device, prepared.train_views, level, folder))))
+            if level
+            else None
+        )
         if not gaussians:
             device.build_ahead(first_kernels(prepared, device), threads)
-        start = (Start(gaussians, 0.0) if gaussians else
-                 first_gaussians(device, prepared, progress))
+        start = Start(gaussians, 0.0) if gaussians else first_gaussians(device, prepared, progress)
         prepared = replace(prepared, given=(*prepared.given, *start.parts))
         schedule = prepared.schedule(start.gaussians)
         progress.phase("reading photos")
         checks.wait()
         checks.close()
-        photos = reading.enter_context(closing(Photos(
-            device, prepared.train_views, schedule.levels, folder=folder, level=level,
-            begun=begun)))
+        photos = reading.enter_context(
+            closing(Photos(device, prepared.train_views, schedule.levels, folder=folder, level=level, begun=begun))
+        )
         session = Session(prepared, device, start.gaussians, photos, schedule, progress)
         reading.pop_all()
         threads.shutdown(wait=False)
@@ -66,14 +74,20 @@ def begin(prepared: PreparedScene, device: Device, folder: Path, progress: Silen
 
 def trained_on(scene: Scene, init: str, device: Device, is_stage: bool = False) -> dict[str, Any]:
     """What a run is trained on and begins with (the option `init`), for its options.json."""
-    return {"scene": scene.path, "fingerprint": fingerprint(scene), START: digest_of(init),
-            "opencl_device": device.name, "kernel_form": device.form,
-            "kernel_sizes": device.tuning, "extent": scene.extent,
-            "offset": scene.offset.tolist(), PART_OF_CITY: is_stage}
+    return {
+        "scene": scene.path,
+        "fingerprint": fingerprint(scene),
+        START: digest_of(init),
+        "opencl_device": device.name,
+        "kernel_form": device.form,
+        "kernel_sizes": device.tuning,
+        "extent": scene.extent,
+        "offset": scene.offset.tolist(),
+        PART_OF_CITY: is_stage,
+    }
 
 
-def first_kernels(prepared: PreparedScene, device: Device
-                  ) -> Iterator[tuple[Kernel, blend.Defines]]:
+def first_kernels(prepared: PreparedScene, device: Device) -> Iterator[tuple[Kernel, blend.Defines]]:
     """The kernels that the first steps launch, one of each program, with the constants of their
     builds, so that threads can compile them before.
 
@@ -91,14 +105,17 @@ def first_kernels(prepared: PreparedScene, device: Device
     if bin.NEEDS_ORDER.of(device):
         yield sort.SCATTER, sort.SORT_DEFINES
     if options.exposure == "on":
-        yield blend.BLEND, (*blend.blend_defines(False),
-                            *blend.response_defines(options.vignetting == "on"))
+        yield blend.BLEND, (*blend.blend_defines(False), *blend.response_defines(options.vignetting == "on"))
     for with_depth in sorted({False, *(part.needs_depth for part in parts)}):
         yield blend.ADJOINT, blend.blend_defines(with_depth)
-        yield project.ADJOINT, (
-            *project.of_degree(projecting, 0), *project.adjoint_choices(
-                False, True, own_masks, any(part.needs_pose for part in parts)),
-            *project.summed_choices((("WITH_DEPTH", int(with_depth)),)))
+        yield (
+            project.ADJOINT,
+            (
+                *project.of_degree(projecting, 0),
+                *project.adjoint_choices(False, True, own_masks, any(part.needs_pose for part in parts)),
+                *project.summed_choices((("WITH_DEPTH", int(with_depth)),)),
+            ),
+        )
     for planes in sorted({photo_array(view).shape[0] for view in prepared.train_views}):
         yield image_loss.VALUE, image_loss.mask_defines(planes > 3)
     yield frequency.LARGEST, ()

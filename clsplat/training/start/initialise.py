@@ -41,9 +41,9 @@ LEAST_OVERLAP = 0.5  # of the photos, that can be compared with others
 LEAST_STEPS, LEAST_SECONDS = 20, 2.0  # for each photo; the second of a time budget
 
 
-def initial_gaussians(scene: Scene, options: TrainOptions,
-                      dense: tuple[NDArray[np.float64], NDArray[np.uint8]] | None = None
-                      ) -> Gaussians:
+def initial_gaussians(
+    scene: Scene, options: TrainOptions, dense: tuple[NDArray[np.float64], NDArray[np.uint8]] | None = None
+) -> Gaussians:
     """Gaussians at the sparse points, at dense points (positions and colours), at random points
     within their bounds, or from a file of gaussians or points.
 
@@ -64,19 +64,20 @@ def initial_gaussians(scene: Scene, options: TrainOptions,
         gaussians = Gaussians.from_points(points, colours, options.sh_degree)
     else:
         if not os.path.isfile(options.init):
-            raise InputError(f"{options.init}: no such file; --init expects sfm, dense, random or "
-                             "a file, such as the point_cloud.ply of a run")
-        gaussians = read_model(options.init, scene.offset, scene.georeference).scaled(
-            1 / scene.unit)
+            raise InputError(
+                f"{options.init}: no such file; --init expects sfm, dense, random or "
+                "a file, such as the point_cloud.ply of a run"
+            )
+        gaussians = read_model(options.init, scene.offset, scene.georeference).scaled(1 / scene.unit)
         if gaussians.count < FEWEST_GAUSSIANS:
             raise InputError(
                 f"{options.init}: has {gaussians.count} gaussians, and a training starts from at "
-                f"least {FEWEST_GAUSSIANS}; give another file to --init, or leave it out")
+                f"least {FEWEST_GAUSSIANS}; give another file to --init, or leave it out"
+            )
         gaussians = gaussians.with_sh_degree(options.sh_degree)
     if options.coarse:
         order = morton_order(gaussians.positions)
-        gaussians = Gaussians({name: rows[order] for name, rows in gaussians.rows.items()},
-                              gaussians.sh_degree)
+        gaussians = Gaussians({name: rows[order] for name, rows in gaussians.rows.items()}, gaussians.sh_degree)
     constrained = options.sphere and "spheres" in schedule_of(options.schedule).parts
     if constrained and "anchors" not in gaussians.rows:
         gaussians = with_spheres(gaussians, options.sphere_neighbours)
@@ -89,8 +90,9 @@ def initial_gaussians(scene: Scene, options: TrainOptions,
 def _check_limit(count: int, options: GrowthOptions) -> None:
     """InputError where a training would start with more gaussians than it may have."""
     if options.max_gaussians and count > options.max_gaussians:
-        raise InputError(f"--max-gaussians {options.max_gaussians}: the scene starts with "
-                         f"{count}; allow at least that many")
+        raise InputError(
+            f"--max-gaussians {options.max_gaussians}: the scene starts with {count}; allow at least that many"
+        )
 
 
 def planned_initial(facts: SceneFacts, options: SceneOptions) -> SceneFacts:
@@ -101,8 +103,7 @@ def planned_initial(facts: SceneFacts, options: SceneOptions) -> SceneFacts:
     return replace(facts, count=count_of(options.init))
 
 
-def chosen_start(survey: Survey, compared: Callable[[], Sequence[Sequence[int]]]
-                 ) -> tuple[str, str]:
+def chosen_start(survey: Survey, compared: Callable[[], Sequence[Sequence[int]]]) -> tuple[str, str]:
     """(the value of `init` that is used, the reason); InputError where dense points were requested
     and cannot be had. `compared` returns the `stereo_views` of the training views; it is called
     only where these matter."""
@@ -116,17 +117,22 @@ def chosen_start(survey: Survey, compared: Callable[[], Sequence[Sequence[int]]]
         if options.coarse:
             return "sfm", "sfm: the sparse points, in the coarse run of a city"
         if options.time_budget and seconds_of(options.time_budget) < LEAST_SECONDS * len(views):
-            return "sfm", (f"sfm: the sparse points; dense ones need a time budget of "
-                           f"{LEAST_SECONDS:g} s for each of {len(views)} photos")
+            return "sfm", (
+                f"sfm: the sparse points; dense ones need a time budget of "
+                f"{LEAST_SECONDS:g} s for each of {len(views)} photos"
+            )
         if options.iterations < LEAST_STEPS * len(views):
-            return "sfm", (f"sfm: the sparse points; dense ones need {LEAST_STEPS} steps for each "
-                           f"of {len(views)} photos")
+            return "sfm", (
+                f"sfm: the sparse points; dense ones need {LEAST_STEPS} steps for each of {len(views)} photos"
+            )
     overlap = sum(map(bool, compared()))
     counted = f"{overlap} of {len(views)} photos can be compared with two others"
     if dense:
         if not overlap:
-            raise InputError(f"{scene.name}: --init dense needs three photos that share sparse "
-                             "points; there are none: use --init sfm")
+            raise InputError(
+                f"{scene.name}: --init dense needs three photos that share sparse "
+                "points; there are none: use --init sfm"
+            )
         return "dense", f"dense: requested; {counted}"
     if overlap < LEAST_OVERLAP * len(views):
         return "sfm", f"sfm: the sparse points, as only {counted}"
@@ -150,8 +156,7 @@ class Start(NamedTuple):
     parts: tuple[Part, ...] = ()  # that follow from them
 
 
-def first_gaussians(device: Device, prepared: PreparedScene, progress: SilentProgress,
-                    enter: bool = True) -> Start:
+def first_gaussians(device: Device, prepared: PreparedScene, progress: SilentProgress, enter: bool = True) -> Start:
     """The initial gaussians of a training; `enter`: dense points may enter with its levels."""
     began, options = time.perf_counter() - device.build_seconds, prepared.options
     part, dense = EnteringPoints(), None
@@ -162,28 +167,32 @@ def first_gaussians(device: Device, prepared: PreparedScene, progress: SilentPro
         enter &= prepared.decisions.facts.dense and len(levels) > 1
     if dense is not None and enter:
         _check_limit(len(points.sizes), options)
-        gaussians = part.fill(dict(zip(STATE, (*dense, points.sizes, np.array([pixels])))), levels,
-                              options)
+        gaussians = part.fill(dict(zip(STATE, (*dense, points.sizes, np.array([pixels])))), levels, options)
     else:
         gaussians = initial_gaussians(prepared.scene, options, dense)
     seconds = time.perf_counter() - device.build_seconds - began
     return Start(gaussians, seconds, (part,) if part.levels else ())
 
 
-def _dense(device: Device, prepared: PreparedScene, progress: SilentProgress
-           ) -> tuple[Points, float]:
+def _dense(device: Device, prepared: PreparedScene, progress: SilentProgress) -> tuple[Points, float]:
     """As many dense points as the decisions say, and the size of their cells."""
     progress.phase("finding dense points: reading photos")
     small, photos = prepared.thumbnails.of(range(len(prepared.train_views)))
     return dense_points(
-        device, prepared.scene, small, photos, prepared.decisions.facts.count,
+        device,
+        prepared.scene,
+        small,
+        photos,
+        prepared.decisions.facts.count,
         lambda done: progress.phase(f"finding dense points: photo {done} of {len(small)}"),
-        prepared.decisions.compared)
+        prepared.decisions.compared,
+    )
 
 
 def start_seconds(device: Device, prepared: PreparedScene) -> float:
     """About how long it will take to find the initial gaussians."""
     if prepared.options.init != "dense":
         return 0.0
-    return sweep_seconds(device, prepared.scene, with_side(prepared.train_views, SMALL_SIDE),
-                         lambda views: list(decoded(views)))
+    return sweep_seconds(
+        device, prepared.scene, with_side(prepared.train_views, SMALL_SIDE), lambda views: list(decoded(views))
+    )

@@ -70,31 +70,42 @@ def plain(rng, count=24, depth=(2.0, 8.0), sigma=(0.7, 6.0), turned=True, size=S
         "quaternions": rng.normal(size=(count, 4)),
         "opacity_logits": rng.uniform(-3, 2, count),
         "sh_constant": rng.normal(0.3, 0.8, (count, 3)),
-        "sh_rest": rng.normal(0, 0.2, (count, 3, 3))}
-    return {"rows": rows, "camera": camera, "degree": 1, "near": cases.NEAR,
-            "background": cases.single(np.array([0.2, 0.5, 0.9])),
-            "drawn": np.ones(count, bool), "skipped": np.zeros(count, bool)}
+        "sh_rest": rng.normal(0, 0.2, (count, 3, 3)),
+    }
+    return {
+        "rows": rows,
+        "camera": camera,
+        "degree": 1,
+        "near": cases.NEAR,
+        "background": cases.single(np.array([0.2, 0.5, 0.9])),
+        "drawn": np.ones(count, bool),
+        "skipped": np.zeros(count, bool),
+    }
 
 
 def stretched(longest, ratio, axes, opacity=0.0, **options):
     """`axes` of the three are `longest` pixels, the others 1 / ratio of that; `opacity`: added to
     the logits (antialiased, a needle keeps 1/200 of it)."""
+
     def make(rng):
         scene = plain(rng, sigma=(longest, longest), **options)
         scene["rows"]["log_scales"][:, axes:] -= np.log(ratio)
         scene["rows"]["opacity_logits"] += opacity
         return scene
+
     return make
 
 
 def sized(sigma, opacity=-1.0):
     """All standard deviations are `sigma` scene sizes; `opacity`: added to the logits."""
+
     def make(rng):
         scene = plain(rng)
         scale = np.exp(rng.uniform(-0.5, 0, scene["rows"]["log_scales"].shape))
         scene["rows"]["log_scales"] = np.log(sigma * SCENE * scale)
         scene["rows"]["opacity_logits"] += opacity  # giants hide each other
         return scene
+
     return make
 
 
@@ -104,6 +115,7 @@ def logits(value):
         scene["rows"]["opacity_logits"][:] = value
         scene["drawn"][:] = value > 0
         return scene
+
     return make
 
 
@@ -122,14 +134,17 @@ def turned_by(length):
         scene["drawn"][:] = length > 0
         scene["skipped"][:] = 0 < length < 1e-18
         return scene
+
     return make
 
 
 def at_depth(*depth):
     """Without a translation: beside one, float32 positions have no digits left for 1e-6."""
+
     def make(rng):
         scene = plain(rng, count=40, depth=depth, turned=False)
         return {**scene, "near": cases.single(depth[0] / 2)}
+
     return make
 
 
@@ -138,8 +153,7 @@ def around_near(rng):
     scene = plain(rng, count=30, depth=(3, 3.1), sigma=(0.1, 0.4), turned=False)
     near = np.float32(scene["near"])
     depths = np.array([3, np.nextafter(near, 1), near, np.nextafter(near, 0), 0, -3])
-    scene["rows"]["positions"] = np.column_stack(
-        [rng.uniform(-0.05, 0.05, (30, 2)), np.resize(depths, 30)])
+    scene["rows"]["positions"] = np.column_stack([rng.uniform(-0.05, 0.05, (30, 2)), np.resize(depths, 30)])
     scene["drawn"] = np.resize(depths > near, 30)
     return scene
 
@@ -165,6 +179,7 @@ def beside_the_image(rng):
 
 def one_pixel(count):
     """All around the centre of one pixel, each hardly visible: the pixel ends after some 2500."""
+
     def make(rng):
         scene = plain(rng, count=count, sigma=(0.01, 0.3), turned=False, size=(5, 5))
         rows, camera = scene["rows"], scene["camera"]
@@ -172,6 +187,7 @@ def one_pixel(count):
         rows["positions"] = world([2.5, 2.5] + rng.uniform(-0.1, 0.1, (count, 2)), depth, camera)
         rows["opacity_logits"] = rng.uniform(-5.3, -5.1, count)
         return scene
+
     return make
 
 
@@ -185,11 +201,16 @@ def coincident(rng):
 
 def photographed(photo, colour, background):
     """Rendered in about `colour` over `background`, the photo `photo` (0 to 255) throughout."""
+
     def make(rng):
         scene = plain(rng)
         scene["rows"]["sh_constant"] = rng.normal(colour, 0.3, (24, 3))
-        return {**scene, "background": np.full(3, float(background)),
-                "photo": np.full((3, *SIZE[::-1]), photo, np.uint8)}
+        return {
+            **scene,
+            "background": np.full(3, float(background)),
+            "photo": np.full((3, *SIZE[::-1]), photo, np.uint8),
+        }
+
     return make
 
 
@@ -203,9 +224,11 @@ def glaring(rng):
 def broken(rng):
     """NaN and infinities in one parameter of each row; every other row is healthy."""
     scene = plain(rng, count=48)
-    slots = [(name, value) for name in ("positions", "log_scales", "quaternions", "opacity_logits",
-                                        "sh_constant", "sh_rest")
-             for value in (np.nan, np.inf, -np.inf)]
+    slots = [
+        (name, value)
+        for name in ("positions", "log_scales", "quaternions", "opacity_logits", "sh_constant", "sh_rest")
+        for value in (np.nan, np.inf, -np.inf)
+    ]
     for k, (name, value) in enumerate(slots):
         scene["rows"][name].reshape(48, -1)[2 * k, 0] = value
         coloured = name.startswith("sh_")  # drawn in black
@@ -222,10 +245,13 @@ CASES = (
     Case("needles 1e6:1", stretched(6, 1e6, 1)),
     Case("needles 1e6:1, antialiased", stretched(6, 1e6, 1, opacity=6.0), antialiased=True),
     Case("needles 1e6:1, 2000 px", stretched(2e3, 1e6, 1), NEEDLE, NEEDLE),
-    Case("needles 1e5:1, 2e5 px, antialiased", stretched(2e5, 1e5, 1), NEEDLE, NEEDLE,
-         antialiased=True),
-    Case("needles 1e6:1, 2000 px, wide image", stretched(2e3, 1e6, 1, count=8, size=WIDE),
-         of_needles(np.hypot(*WIDE)), of_needles(np.hypot(*WIDE))),
+    Case("needles 1e5:1, 2e5 px, antialiased", stretched(2e5, 1e5, 1), NEEDLE, NEEDLE, antialiased=True),
+    Case(
+        "needles 1e6:1, 2000 px, wide image",
+        stretched(2e3, 1e6, 1, count=8, size=WIDE),
+        of_needles(np.hypot(*WIDE)),
+        of_needles(np.hypot(*WIDE)),
+    ),
     Case("discs 1e6:1", stretched(6, 1e6, 2)),
     Case("discs 1e6:1, antialiased", stretched(6, 1e6, 2), antialiased=True),
     Case("discs 1e6:1, 2000 px", stretched(2e3, 1e6, 2), NEEDLE, NEEDLE),

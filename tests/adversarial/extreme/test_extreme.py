@@ -37,13 +37,13 @@ def by_reference(case):
     cotangent = np.where(fragile, 0, cotangent)
     by_splat = blend_adjoint(splats, order, *size, scene["background"], cotangent)
     with np.errstate(all="ignore"):
-        gradients = project_adjoint(
-            scene["rows"], *arguments, antialiased=case.antialiased, grads=by_splat)
+        gradients = project_adjoint(scene["rows"], *arguments, antialiased=case.antialiased, grads=by_splat)
     return scene, image, fragile, cotangent, gradients
 
 
-@pytest.mark.parametrize("case", [
-    pytest.param(case, id=case.name, marks=[pytest.mark.slow] * case.slow) for case in CASES])
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, id=case.name, marks=[pytest.mark.slow] * case.slow) for case in CASES]
+)
 @pytest.mark.one_in(10)
 def test_case(device, case):
     scene, expected, fragile, cotangent, expected_gradients = by_reference(case)

@@ -29,14 +29,14 @@ def cloud(count=60, seed=0):
 
 
 def as_scene(points, colours, *cameras):
-    return Scene("made", tuple(View(f"{i}.png", camera_of({"camera": c}), b"")
-                               for i, c in enumerate(cameras)), points, colours)
+    return Scene(
+        "made", tuple(View(f"{i}.png", camera_of({"camera": c}), b"") for i, c in enumerate(cameras)), points, colours
+    )
 
 
 def rendered(device, gaussians, camera, near=0.01):
     renderer = Renderer(device, gaussians.sh_degree, near)
-    frame = renderer.render(upload_rows(device, gaussians.rows), renderer.pack(camera), *SIZE,
-                            sh_degree=0)
+    frame = renderer.render(upload_rows(device, gaussians.rows), renderer.pack(camera), *SIZE, sh_degree=0)
     return frame.image.download()
 
 
@@ -53,13 +53,13 @@ def utm(tmp_path_factory):
     far = points + UTM
     # 5000 km away an error of 1e-8 in a rotation shows: no rounding to float32 here
     turn = Rotation.from_matrix(seen_by["rotation"]).as_matrix()
-    cameras = [{**seen_by, "rotation": turn,
-                "translation": seen_by["translation"] + [0.1 * i, 0, 0] - turn @ UTM}
-               for i in range(2)]
+    cameras = [
+        {**seen_by, "rotation": turn, "translation": seen_by["translation"] + [0.1 * i, 0, 0] - turn @ UTM}
+        for i in range(2)
+    ]
     (folder / "images").mkdir()
     for name in "01":
-        imsave(folder / "images" / f"{name}.png", np.zeros((*SIZE[::-1], 3), np.uint8),
-               check_contrast=False)
+        imsave(folder / "images" / f"{name}.png", np.zeros((*SIZE[::-1], 3), np.uint8), check_contrast=False)
     views = as_scene(far, colours, *cameras).views
     observations = np.indices((len(far), 2)).reshape(2, -1).T
     write_colmap(folder / "sparse" / "0", views, far, colours, observations)
@@ -91,7 +91,8 @@ def test_one_camera_or_several_at_one_place(float_device, count):
     gaussians = Gaussians.from_points(scene.points, scene.colours, sh_degree=0)
     expected = by_reference(
         {name: values.astype(np.float64) for name, values in gaussians.rows.items()},
-        {**seen_by, "translation": camera.translation})
+        {**seen_by, "translation": camera.translation},
+    )
     assert expected.max() > 0.1
     close(rendered(float_device, gaussians, camera), expected, "float", "one camera")
 

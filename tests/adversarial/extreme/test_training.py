@@ -41,27 +41,35 @@ class Case:
 
 def rescaled(scene, factor):
     """The same scene in other units: points, cameras and offset times `factor`."""
-    return replace(scene, points=scene.points * factor, offset=scene.offset * factor, views=tuple(
-        replace(v, camera=replace(v.camera, translation=v.camera.translation * factor))
-        for v in scene.views))
+    return replace(
+        scene,
+        points=scene.points * factor,
+        offset=scene.offset * factor,
+        views=tuple(
+            replace(v, camera=replace(v.camera, translation=v.camera.translation * factor)) for v in scene.views
+        ),
+    )
 
 
 def moved(scene, place):
     """The same scene around `place` float64[3], world, recentred as the readers do."""
     shift = np.asarray(place, np.float64)
     return replace(
-        scene, points=scene.points + shift, offset=np.zeros(3), views=tuple(
-            replace(v, camera=v.camera.shifted(-shift)) for v in scene.views)).recentred()
+        scene,
+        points=scene.points + shift,
+        offset=np.zeros(3),
+        views=tuple(replace(v, camera=v.camera.shifted(-shift)) for v in scene.views),
+    ).recentred()
 
 
 def thinned(scene, every):
     """One point in `every`; observations go, as they count points."""
-    return replace(scene, points=scene.points[::every], colours=scene.colours[::every],
-                   observations=None)
+    return replace(scene, points=scene.points[::every], colours=scene.colours[::every], observations=None)
 
 
 def with_photos(draw):
     """Photos of `draw(height, width, rng)` uint8[h, w, 3] in place of the scene's."""
+
     def change(scene, folder):
         rng = np.random.default_rng(0)
         views = []
@@ -70,6 +78,7 @@ def with_photos(draw):
             write_image(path, draw(view.camera.height, view.camera.width, rng))
             views.append(replace(view, source=path))
         return replace(scene, views=tuple(views))
+
     return change
 
 
@@ -83,25 +92,29 @@ def noise(height, width, rng):
 
 def copies_of_a_view(scene, count):
     """One view under so many names."""
-    return replace(scene, views=tuple(
-        replace(scene.views[5], name=f"{number}.png") for number in range(count)))
+    return replace(scene, views=tuple(replace(scene.views[5], name=f"{number}.png") for number in range(count)))
 
 
 def turning(scene, _):
     """All cameras at one place, each looking its own way."""
     position = scene.views[0].camera.position
-    return replace(scene, views=tuple(
-        replace(v, camera=replace(v.camera, translation=-v.camera.rotation @ position))
-        for v in scene.views))
+    return replace(
+        scene,
+        views=tuple(
+            replace(v, camera=replace(v.camera, translation=-v.camera.rotation @ position)) for v in scene.views
+        ),
+    )
 
 
 def crowded(count, size):
     """`count` points within `size` world units before the cameras."""
+
     def change(scene, _):
         rng = np.random.default_rng(0)
         points = np.median(scene.points, axis=0) + size * rng.uniform(-0.5, 0.5, (count, 3))
         colours = rng.integers(0, 256, (count, 3), np.uint8)
         return replace(scene, points=points, colours=colours, observations=None)
+
     return change
 
 
@@ -115,6 +128,7 @@ def with_outliers(scene, _):
 def logits(*values):
     def change(rows, _):
         rows["opacity_logits"][:] = np.resize(values, len(rows["opacity_logits"]))
+
     return change
 
 
@@ -145,17 +159,24 @@ CASES = {
     "wide_scales": Case("survives", gaussians=wide_scales),
     "strange_quaternions": Case(gaussians=strange_quaternions),
     "extent_1e6": Case(scene=lambda scene, _: rescaled(scene, 1e6 / scene.extent)),
-    "equal_views": Case(warns=("the photos were taken from one place",),
-                        scene=lambda scene, _: copies_of_a_view(scene, 12)),
-    "one_view": Case("has a single photo",
-                     scene=lambda scene, _: replace(scene, views=scene.views[:1])),
-    "two_views": Case(warns=("only 2 training photos",), options={"test_every": 0},
-                      scene=lambda scene, _: replace(scene, views=scene.views[:2])),
+    "equal_views": Case(
+        warns=("the photos were taken from one place",), scene=lambda scene, _: copies_of_a_view(scene, 12)
+    ),
+    "one_view": Case("has a single photo", scene=lambda scene, _: replace(scene, views=scene.views[:1])),
+    "two_views": Case(
+        warns=("only 2 training photos",),
+        options={"test_every": 0},
+        scene=lambda scene, _: replace(scene, views=scene.views[:2]),
+    ),
     "turning": Case("survives", ("the photos were taken from one place",), scene=turning),
     "black": Case("survives", ("are of one colour",), scene=plain(0)),
     "noise": Case("survives", scene=with_photos(noise)),
-    "ten_points": Case("survives", ("only 10 initial gaussians",), options=FEW,
-                       scene=lambda scene, _: thinned(scene, len(scene.points) // 10)),
+    "ten_points": Case(
+        "survives",
+        ("only 10 initial gaussians",),
+        options=FEW,
+        scene=lambda scene, _: thinned(scene, len(scene.points) // 10),
+    ),
     "crowded": Case("survives", ("the sparse points cover",), scene=crowded(20_000, 0.01)),
     "outliers": Case("survives", scene=with_outliers),
 }
@@ -169,8 +190,9 @@ def prepared(city, case, schedule, folder):
     """(Scene, options as keywords) of a case."""
     scene = case.scene(thinned(city, SAMPLE), folder)
     options = {**SCHEDULES[schedule], "iterations": STEPS}
-    options |= {name: value for name, value in case.options.items()
-                if schedule == "sig" or not name.startswith("sphere")}
+    options |= {
+        name: value for name, value in case.options.items() if schedule == "sig" or not name.startswith("sphere")
+    }
     if case.gaussians:
         options["init"] = str(written(scene, case, folder / "initial.ply"))
     return scene, options
@@ -182,8 +204,9 @@ def test_stiff(city, item_device, tmp_path, monkeypatch, name, schedule):
     case = CASES[name]
     scene, options = prepared(city, case, schedule, tmp_path)
     rates = step.learning_rates
-    monkeypatch.setattr(step, "learning_rates", lambda *given: {
-        field: case.rates * rate for field, rate in rates(*given).items()})
+    monkeypatch.setattr(
+        step, "learning_rates", lambda *given: {field: case.rates * rate for field, rate in rates(*given).items()}
+    )
     refusal = "all gaussians were pruned" if name in EMPTIED else case.expects
     if refusal not in ("learns", "survives"):
         with pytest.raises(InputError, match=refusal):
@@ -208,8 +231,9 @@ def test_what_cannot_be_good_is_said(city, tmp_path, name):
     scene, options = prepared(city, case, "constant", tmp_path)
     options = options_of(**options)
     scene = scene.reduced(options.downscale)
-    said = list(find_warnings(scene, Thumbnails(scene.split(options.test_every)[0]),
-                              initial_gaussians(scene, options).count))
+    said = list(
+        find_warnings(scene, Thumbnails(scene.split(options.test_every)[0]), initial_gaussians(scene, options).count)
+    )
     assert len(said) == len(case.warns), said
     for text, part in zip(said, case.warns):
         assert part in text and "\n" not in text and len(text) < 160
@@ -223,8 +247,7 @@ def test_a_normalised_scene_is_the_same_in_any_unit(city, factor):
     assert np.array_equal(one.points.astype(np.float32), other.points.astype(np.float32))
     assert np.allclose(one.offset + one.unit * one.points, city.offset + city.points)
     for a, b in zip(one.views, other.views):
-        assert np.array_equal(a.camera.translation.astype(np.float32),
-                              b.camera.translation.astype(np.float32))
+        assert np.array_equal(a.camera.translation.astype(np.float32), b.camera.translation.astype(np.float32))
     pixels, depths = city.views[3].camera.project(city.points)
     same, shallower = one.views[3].camera.project(one.points)
     assert np.allclose(same, pixels) and np.allclose(shallower * one.unit, depths)
@@ -241,5 +264,4 @@ def test_gaussians_in_other_units(city, tmp_path):
     assert set(begun.rows) == set(own.rows) and "anchors" in own.rows
     for name, values in own.rows.items():
         assert np.allclose(begun.rows[name], values, rtol=1e-5, atol=1e-6), name
-        assert np.allclose(own.scaled(scene.unit).rows[name], given.rows[name], rtol=1e-5,
-                           atol=1e-5), name
+        assert np.allclose(own.scaled(scene.unit).rows[name], given.rows[name], rtol=1e-5, atol=1e-5), name

@@ -42,7 +42,7 @@ def written(files, folder):
 
 
 def try_case(reader, folder):
-    """"" if the folder was read, None if it was refused as it should be, else the fault."""
+    """ "" if the folder was read, None if it was refused as it should be, else the fault."""
     try:
         reader.read(folder)
         return ""
@@ -56,8 +56,7 @@ def try_case(reader, folder):
             return f"no clear line: {message[:300]!r}"
         return None
     except Exception as error:
-        where = [f"{Path(frame.filename).name}:{frame.lineno}"
-                 for frame in traceback.extract_tb(error.__traceback__)]
+        where = [f"{Path(frame.filename).name}:{frame.lineno}" for frame in traceback.extract_tb(error.__traceback__)]
         return f"{type(error).__name__}: {str(error)[:200]!r} at {' '.join(where[-4:])}"
 
 

@@ -14,14 +14,56 @@ import zlib
 
 import numpy as np
 
-INTEGERS = (0, 1, -1, 127, 128, 255, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1, 2**40,
-            10**12, 2**63 - 1, 2**63, 2**64 - 1)
-FLOATS = (0.0, -0.0, -1.0, float("nan"), float("inf"), -float("inf"), 1e-320, 1e-45, 1e38, 1e300,
-          2.0**31, 2.0**63)
-WORDS = (b"", b"0", b"-1", b"nan", b"NaN", b"inf", b"-Infinity", b"2147483648", b"4294967295",
-         b"9223372036854775808", b"1000000000000", b"1e300", b"1e400", b"0x10", b"true", b"null",
-         b"[]", b"{}", b"''", b'"text"', b"9" * 5000, b"[" * 3000, b"\xff\xfe", b"\0", b"..",
-         b"/etc", "\u2028é".encode(), b"\\ud800", b"a\\nb")
+INTEGERS = (
+    0,
+    1,
+    -1,
+    127,
+    128,
+    255,
+    2**15,
+    2**16 - 1,
+    2**31 - 1,
+    2**31,
+    2**32 - 1,
+    2**40,
+    10**12,
+    2**63 - 1,
+    2**63,
+    2**64 - 1,
+)
+FLOATS = (0.0, -0.0, -1.0, float("nan"), float("inf"), -float("inf"), 1e-320, 1e-45, 1e38, 1e300, 2.0**31, 2.0**63)
+WORDS = (
+    b"",
+    b"0",
+    b"-1",
+    b"nan",
+    b"NaN",
+    b"inf",
+    b"-Infinity",
+    b"2147483648",
+    b"4294967295",
+    b"9223372036854775808",
+    b"1000000000000",
+    b"1e300",
+    b"1e400",
+    b"0x10",
+    b"true",
+    b"null",
+    b"[]",
+    b"{}",
+    b"''",
+    b'"text"',
+    b"9" * 5000,
+    b"[" * 3000,
+    b"\xff\xfe",
+    b"\0",
+    b"..",
+    b"/etc",
+    "\u2028é".encode(),
+    b"\\ud800",
+    b"a\\nb",
+)
 NUMBER = re.compile(rb"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
 FIELD = re.compile(rb"[^\s,:=\[\]{}\"]+")
 GZIP_MAGIC, GLB_MAGIC, SPZ_MAGIC = b"\x1f\x8b", b"glTF", b"NGSP"
@@ -59,12 +101,11 @@ def flip_bits(random, data, other):
 
 def fill(random, data, other):
     begin, end = _span(random, data)
-    return data[:begin] + random.choice((b"\0", b"\xff", b" ", b"\n", b"9")) * (
-        end - begin) + data[end:]
+    return data[:begin] + random.choice((b"\0", b"\xff", b" ", b"\n", b"9")) * (end - begin) + data[end:]
 
 
 def truncate(random, data, other):
-    return data[:random.randrange(len(data) + 1)]
+    return data[: random.randrange(len(data) + 1)]
 
 
 def insert(random, data, other):
@@ -78,7 +119,7 @@ def remove(random, data, other):
 
 
 def splice(random, data, other):
-    return data[:random.randrange(len(data) + 1)] + other[random.randrange(len(other) + 1):]
+    return data[: random.randrange(len(data) + 1)] + other[random.randrange(len(other) + 1) :]
 
 
 def number(random, data, other):
@@ -88,10 +129,9 @@ def number(random, data, other):
             value = np.array(random.choice(FLOATS)).astype(random.choice(("<f4", "<f8"))).tobytes()
     else:
         width = random.choice((1, 2, 4, 8))
-        value = (random.choice(INTEGERS) % 256**width).to_bytes(
-            width, random.choice(("little", "little", "big")))
+        value = (random.choice(INTEGERS) % 256**width).to_bytes(width, random.choice(("little", "little", "big")))
     begin = random.randrange(min(len(data), random.choice((64, 1 << 20))) + 1)
-    return data[:begin] + value + data[begin + len(value):]
+    return data[:begin] + value + data[begin + len(value) :]
 
 
 BYTES = (flip_bits, fill, truncate, insert, remove, splice, number, number)
@@ -99,12 +139,11 @@ BYTES = (flip_bits, fill, truncate, insert, remove, splice, number, number)
 
 def _replace_one(random, pattern, data, value):
     """`data` with one of the pattern's matches replaced."""
-    found = list(pattern.finditer(data, random.randrange(len(data) + 1))) or list(
-        pattern.finditer(data))
+    found = list(pattern.finditer(data, random.randrange(len(data) + 1))) or list(pattern.finditer(data))
     if not found:
         return data + value
     match = random.choice(found[:200])
-    return data[:match.start()] + value + data[match.end():]
+    return data[: match.start()] + value + data[match.end() :]
 
 
 def text_number(random, data, other):
@@ -148,9 +187,10 @@ def _inside_gzip(random, data):
 def _inside_spz(random, data):
     """The content of a stream of SPZ 4 mutated, the table made to fit."""
     import zstandard
+
     try:
         at = int.from_bytes(data[16:20], "little")
-        table = np.frombuffer(data[at:at + 16 * data[15]], "<u8").reshape(-1, 2)
+        table = np.frombuffer(data[at : at + 16 * data[15]], "<u8").reshape(-1, 2)
         begins = list(itertools.accumulate(table[:, 0].tolist(), initial=at + table.nbytes))
         parts = [data[begin:end] for begin, end in itertools.pairwise(begins)]
         one = random.randrange(len(parts))
@@ -169,11 +209,17 @@ def _inside_glb(random, data):
     if len(data) < 20:
         return data
     size = int.from_bytes(data[12:16], "little")
-    text = random.choice(LINES)(random, data[20:20 + size], b"{}")
+    text = random.choice(LINES)(random, data[20 : 20 + size], b"{}")
     text += b" " * (-len(text) % 4)
-    rest = data[20 + size:]
-    return (data[:8] + (20 + len(text) + len(rest)).to_bytes(4, "little")
-            + len(text).to_bytes(4, "little") + data[16:20] + text + rest)
+    rest = data[20 + size :]
+    return (
+        data[:8]
+        + (20 + len(text) + len(rest)).to_bytes(4, "little")
+        + len(text).to_bytes(4, "little")
+        + data[16:20]
+        + text
+        + rest
+    )
 
 
 def _members(data):
@@ -202,8 +248,9 @@ def _inside_zip(random, data, other):
     else:
         members[name] = random.choice(LINES)(random, members[name], members[name])
     out = io.BytesIO()
-    with zipfile.ZipFile(out, "w", random.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)),
-                         compresslevel=1) as archive:
+    with zipfile.ZipFile(
+        out, "w", random.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)), compresslevel=1
+    ) as archive:
         for member, content in members.items():
             archive.writestr(zipfile.ZipInfo(member), content)
     return out.getvalue()

@@ -22,7 +22,8 @@ def finite(*values):
 def made_images(folder):
     noise = np.random.default_rng(0).integers(0, 256, (24, 32, 4), dtype=np.uint8)
     for seed, (name, channels) in numbered(
-            folder, (("a.jpg", 3), ("a.png", 3), ("a.png", 4), ("a.png", 1), ("a.jpg", 1))):
+        folder, (("a.jpg", 3), ("a.png", 3), ("a.png", 4), ("a.png", 1), ("a.jpg", 1))
+    ):
         write_image(seed / name, noise[..., :channels], quality=60)
         (seed / name).rename(seed / "image")  # what it is must be told from its bytes
         yield seed
@@ -39,6 +40,7 @@ def made_decoded(write, name, *photos):
         for seed, arguments in numbered(folder, photos):
             write(seed / name, *arguments)
             yield seed
+
     return make
 
 
@@ -47,6 +49,7 @@ def decoded(name):
         data = read_metadata(folder / name)
         assert read_image(folder / name).shape == (data.height, data.width, 3)
         finite(data.latitude, data.longitude, data.altitude, data.focal_pixels)
+
     return read
 
 

@@ -56,9 +56,14 @@ class Reader:
     def seeds(self):
         """List of {relative path: bytes}, the same whenever it is called."""
         with tempfile.TemporaryDirectory(prefix="clsplat-fuzz-") as folder:
-            return [{file.relative_to(seed).as_posix(): file.read_bytes()
-                     for file in sorted(seed.rglob("*")) if file.is_file()}
-                    for seed in self.make(Path(folder))]
+            return [
+                {
+                    file.relative_to(seed).as_posix(): file.read_bytes()
+                    for file in sorted(seed.rglob("*"))
+                    if file.is_file()
+                }
+                for seed in self.make(Path(folder))
+            ]
 
 
 def usable(scene):
@@ -81,8 +86,9 @@ def usable(scene):
 def gaussians_like(count, degree, seed=0):
     """Gaussians with random values in all rows."""
     random = np.random.default_rng(seed)
-    made = Gaussians.from_points(random.normal(size=(count, 3)), random.integers(
-        0, 256, (count, 3), dtype=np.uint8), degree)
+    made = Gaussians.from_points(
+        random.normal(size=(count, 3)), random.integers(0, 256, (count, 3), dtype=np.uint8), degree
+    )
     rows = {**made.rows, "anchors": made.positions + 1, "max_offsets": made.opacity_logits + 9}
     return Gaussians(rows, degree)
 
@@ -93,19 +99,27 @@ def check(gaussians):
         assert values.dtype in (np.float32, np.float64) and len(values) == gaussians.count
         assert np.isfinite(values).all()
 
+
 PLACE = Georeference("EPSG:32632", (5e5, 5.3e6, 200.0), "made", 0.1)
 
 
 def _model(suffix, version=0):
     """The reader of a format, whose seeds are one file each."""
+
     def make(folder):
         for seed, (count, degree) in numbered(folder, ((6, 0), (300, 3))):
             model = gaussians_like(count, degree).located(np.array([2.0, 3.0, 4.0]) * (degree > 0))
-            write_model(seed / f"model{suffix}", model, ("made",), np.array([0.0, 0.0, 1.0]),
-                        PLACE if degree and suffix == ".las" else None, version)
+            write_model(
+                seed / f"model{suffix}",
+                model,
+                ("made",),
+                np.array([0.0, 0.0, 1.0]),
+                PLACE if degree and suffix == ".las" else None,
+                version,
+            )
             yield seed
-    return Reader(make, lambda folder: check(read_model(folder / f"model{suffix}")),
-                  files=(suffix,))
+
+    return Reader(make, lambda folder: check(read_model(folder / f"model{suffix}")), files=(suffix,))
 
 
 def _made_scenes(text):
@@ -121,6 +135,7 @@ def _made_scenes(text):
                         if path.stem in ("rigs", "frames"):
                             path.unlink()
                 yield seed
+
     return make
 
 
@@ -129,17 +144,14 @@ def _scene(folder):
 
 
 def _made_plys(folder):
-    for seed, (count, degree, sphere) in numbered(
-            folder, ((5, 0, True), (3, 1, False), (2, 3, False))):
-        write_ply(seed / "model.ply", gaussians_like(count, degree), (1.5, 2.0, 3e6), ("made",),
-                  sphere)
+    for seed, (count, degree, sphere) in numbered(folder, ((5, 0, True), (3, 1, False), (2, 3, False))):
+        write_ply(seed / "model.ply", gaussians_like(count, degree), (1.5, 2.0, 3e6), ("made",), sphere)
         yield seed
     head, _, _ = (folder / "0/model.ply").read_bytes().partition(b"end_header\n")
     rows = b"".join(b" ".join([b"0.25"] * head.count(b"property")) + b"\n" for _ in range(5))
     seed = folder / "text"
     seed.mkdir()
-    (seed / "model.ply").write_bytes(
-        head.replace(b"binary_little_endian", b"ascii") + b"end_header\n" + rows)
+    (seed / "model.ply").write_bytes(head.replace(b"binary_little_endian", b"ascii") + b"end_header\n" + rows)
     yield seed
 
 
@@ -153,20 +165,43 @@ def _made_transforms(folder):
     for seed in (whole, angled, parted):
         table = layouts.write_transforms(seed, scene)
     (angled / "sparse_pc.ply").unlink()  # points are drawn, and suffixes tried
-    layouts.write_json(angled / "transforms.json", {**layouts.camera_angle(scene), "frames": [
-        {**frame, "file_path": frame["file_path"][:-4]} for frame in table["frames"]]})
+    layouts.write_json(
+        angled / "transforms.json",
+        {
+            **layouts.camera_angle(scene),
+            "frames": [{**frame, "file_path": frame["file_path"][:-4]} for frame in table["frames"]],
+        },
+    )
     for number, part in enumerate(("train", "test")):
-        layouts.write_json(parted / f"transforms_{part}.json", {
-            **table, "frames": table["frames"][number::2]})
+        layouts.write_json(parted / f"transforms_{part}.json", {**table, "frames": table["frames"][number::2]})
     return whole, angled, parted
 
 
 def _made_options(folder):
-    for seed, lines in numbered(folder, (
-            ("iterations = 500", "downscale = 2.5", "levels = [4.0, 2.0, 1.0]", "size = 'L'",
-             "background = [0.0, 0.5, 1.0]", "sphere = false", "preset = \"paper\""),
-            ("# a comment", "time-budget = '10m'", "schedule = 'dash'", "seed = 3", "init = 'sfm'",
-             "levels = [8.0, 4.0, 1.0]", "antialiased = true", "grow-threshold = 1e-4"))):
+    for seed, lines in numbered(
+        folder,
+        (
+            (
+                "iterations = 500",
+                "downscale = 2.5",
+                "levels = [4.0, 2.0, 1.0]",
+                "size = 'L'",
+                "background = [0.0, 0.5, 1.0]",
+                "sphere = false",
+                'preset = "paper"',
+            ),
+            (
+                "# a comment",
+                "time-budget = '10m'",
+                "schedule = 'dash'",
+                "seed = 3",
+                "init = 'sfm'",
+                "levels = [8.0, 4.0, 1.0]",
+                "antialiased = true",
+                "grow-threshold = 1e-4",
+            ),
+        ),
+    ):
         (seed / "run.toml").write_text("\n".join(lines) + "\n")
         yield seed
 
@@ -176,11 +211,26 @@ def _options(folder):
     assert 0 <= options.sh_degree <= 3
 
 
-DJI = {"GimbalYawDegree": "+12.50", "GimbalPitchDegree": "-89.90", "GimbalRollDegree": "+0.00",
-       "RelativeAltitude": "+60.1", "RtkStdLon": "0.01", "RtkStdLat": "0.01", "RtkStdHgt": "0.02",
-       "CalibratedFocalLength": "3666.0", "DewarpData": "2020-01-01;3.6,3.6,1,1,0,0,0,0,0"}
-EXIF = {**GPS, "Exif:FocalLength": 8.8, "Exif:FocalLengthIn35mmFilm": 24, "Make": "DJI",
-        "Model": "FC6310", "DateTime": "2020:01:02 03:04:05", "Orientation": 6}
+DJI = {
+    "GimbalYawDegree": "+12.50",
+    "GimbalPitchDegree": "-89.90",
+    "GimbalRollDegree": "+0.00",
+    "RelativeAltitude": "+60.1",
+    "RtkStdLon": "0.01",
+    "RtkStdLat": "0.01",
+    "RtkStdHgt": "0.02",
+    "CalibratedFocalLength": "3666.0",
+    "DewarpData": "2020-01-01;3.6,3.6,1,1,0,0,0,0,0",
+}
+EXIF = {
+    **GPS,
+    "Exif:FocalLength": 8.8,
+    "Exif:FocalLengthIn35mmFilm": 24,
+    "Make": "DJI",
+    "Model": "FC6310",
+    "DateTime": "2020:01:02 03:04:05",
+    "Orientation": 6,
+}
 
 
 def _metadata(folder):
@@ -191,8 +241,7 @@ def _metadata(folder):
 
 def _read_metadata(folder):
     data = read_metadata(folder / "photo.jpg")
-    finite(data.latitude, data.longitude, data.altitude, data.gps_std, data.focal_pixels,
-            data.gimbal_pitch)
+    finite(data.latitude, data.longitude, data.altitude, data.gps_std, data.focal_pixels, data.gimbal_pitch)
     assert data.width > 0 and data.height > 0
     assert data.latitude is None or abs(data.latitude) <= 90
 
@@ -217,11 +266,23 @@ def _georeference(folder):
 
 
 def _control_points(folder):
-    for seed, lines in numbered(folder, (
-            ("EPSG:32632", "500010.5 5300020 210 100 200 a.jpg one", "500010.5 5300020 210 120 190 "
-             "b.jpg one", "500050 5300090 212 10 20 a.jpg two"),
-            ("EPSG:4326", "name,x,y,z,pixel_x,pixel_y,image", "one,9.0,47.8,210,100,200,a.jpg",
-             "two,9.001,47.801,212,10,20,a.jpg"))):
+    for seed, lines in numbered(
+        folder,
+        (
+            (
+                "EPSG:32632",
+                "500010.5 5300020 210 100 200 a.jpg one",
+                "500010.5 5300020 210 120 190 b.jpg one",
+                "500050 5300090 212 10 20 a.jpg two",
+            ),
+            (
+                "EPSG:4326",
+                "name,x,y,z,pixel_x,pixel_y,image",
+                "one,9.0,47.8,210,100,200,a.jpg",
+                "two,9.001,47.801,212,10,20,a.jpg",
+            ),
+        ),
+    ):
         (seed / "gcp.txt").write_text("\n".join(lines) + "\n")
         yield seed
 
@@ -236,13 +297,17 @@ def _read_control_points(folder):
 def _measured(folder):
     """A surface, and lines and polygons on it."""
     for seed, degrees in numbered(folder, (False, True)):
-        surfaces.write_surface(seed / "surface.tif", surfaces.heap(*surfaces.places(1.0, 40)),
-                               pixel=1.0)
-        shapes = [surfaces.feature("LineString", surfaces.square(8), "line"), surfaces.feature(
-            "MultiPolygon", [[surfaces.square(9), surfaces.square(2)]], "heap")]
+        surfaces.write_surface(seed / "surface.tif", surfaces.heap(*surfaces.places(1.0, 40)), pixel=1.0)
+        shapes = [
+            surfaces.feature("LineString", surfaces.square(8), "line"),
+            surfaces.feature("MultiPolygon", [[surfaces.square(9), surfaces.square(2)]], "heap"),
+        ]
         if degrees:
-            shapes = [surfaces.feature("Polygon", [[
-                [13.5614, 51.442], [13.5617, 51.442], [13.5617, 51.4422], [13.5614, 51.442]]])]
+            shapes = [
+                surfaces.feature(
+                    "Polygon", [[[13.5614, 51.442], [13.5617, 51.442], [13.5617, 51.4422], [13.5614, 51.442]]]
+                )
+            ]
         surfaces.write_features(seed / "shapes.json", *shapes)
         yield seed
 
@@ -277,8 +342,7 @@ def _metashape(folder):
         if reference:
             path = seed / "cameras.xml"
             place = projects.texts(ON_EARTH[2])
-            path.write_text(path.read_text().replace("<translation>0.0 0.0 0.0",
-                                                     f"<translation>{place}"))
+            path.write_text(path.read_text().replace("<translation>0.0 0.0 0.0", f"<translation>{place}"))
         else:
             layouts.write_ply(seed / "points3D.ply", scene.points, scene.colours)
         yield seed
@@ -296,8 +360,7 @@ READERS = {
     "raw": Reader(made_decoded(write_dng, "a.dng", *DNGS), decoded("a.dng")),
     "metadata": Reader(_metadata, _read_metadata, files=(".jpg",)),
     "ply": Reader(_made_plys, _ply, files=(".ply",)),
-    **{suffix[1:]: _model(suffix) for suffix in (
-        ".spz", ".sog", ".glb", ".las")},  # lazrs aborts on bad LAZ
+    **{suffix[1:]: _model(suffix) for suffix in (".spz", ".sog", ".glb", ".las")},  # lazrs aborts on bad LAZ
     "spz4": _model(".spz", 4),
     "geojson": Reader(_measured, _measure, text=True, files=(".json",)),
     "surface": Reader(_measured, _measure, files=(".tif",)),

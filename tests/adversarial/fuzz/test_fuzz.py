@@ -25,7 +25,11 @@ def outcomes(name, first, last):
     while first < last:
         done = subprocess.run(
             [sys.executable, "-m", "tests.adversarial.fuzz", name, SEED, str(first), str(last)],
-            cwd=ROOT, capture_output=True, text=True, check=False)
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
         rows = [json.loads(line) for line in done.stdout.splitlines()]
         assert rows, f"{name}: its valid files are not read\n{done.stdout}{done.stderr}"
         yield from (row for row in rows if row[1] != "begun")
@@ -38,7 +42,10 @@ def outcomes(name, first, last):
 @pytest.mark.parametrize("name", READERS)
 def test_mutated_files_are_read_or_refused_in_one_line(name):
     rows = list(outcomes(name, 0, COUNT))
-    faults = [f"python -m tests.adversarial.fuzz {name} {SEED} {case} 0 --keep: {said}"
-              for case, said in rows if said not in ("read", "refused")]
+    faults = [
+        f"python -m tests.adversarial.fuzz {name} {SEED} {case} 0 --keep: {said}"
+        for case, said in rows
+        if said not in ("read", "refused")
+    ]
     assert not faults, "\n".join(faults[:10])
     assert len(rows) == COUNT and len(Counter(said for _, said in rows)) == 2, "both are reached"

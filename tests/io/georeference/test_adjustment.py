@@ -23,10 +23,14 @@ def control(count, checks=0):
     for number in sorted(truth.point3D_ids())[:count]:
         point = truth.point3D(number)
         marks = ((truth.images[each.image_id], each.point2D_idx) for each in point.track.elements)
-        points.append(ControlPoint(
-            f"P{number}", tuple(ORIGIN + METRES * point.xyz),
-            tuple((image.name, *image.points2D[index].xy.tolist()) for image, index in marks),
-            len(points) >= count - checks))
+        points.append(
+            ControlPoint(
+                f"P{number}",
+                tuple(ORIGIN + METRES * point.xyz),
+                tuple((image.name, *image.points2D[index].xy.tolist()) for image, index in marks),
+                len(points) >= count - checks,
+            )
+        )
     return points
 
 
@@ -43,11 +47,12 @@ def bent():
 def placed(points, **options):
     """What became of the bent reconstruction, and the largest error of its cameras, metres."""
     reconstruction, truth = bent(), synthetic(photos=8, points=150)
-    result = place_reconstruction(reconstruction, {}, ControlPoints(tuple(points), CRS),
-                                  up=(0, 0, 1), **options)
-    away = [result.georeference.to_map(image.projection_center())
-            - (ORIGIN + METRES * truth.images[number].projection_center())
-            for number, image in reconstruction.images.items()]
+    result = place_reconstruction(reconstruction, {}, ControlPoints(tuple(points), CRS), up=(0, 0, 1), **options)
+    away = [
+        result.georeference.to_map(image.projection_center())
+        - (ORIGIN + METRES * truth.images[number].projection_center())
+        for number, image in reconstruction.images.items()
+    ]
     return result, np.abs(away).max()
 
 
@@ -69,8 +74,9 @@ def test_the_adjustment_takes_out_what_a_similarity_leaves():
 def test_the_focal_length_of_a_calibration_is_kept(keep):
     reconstruction = bent()
     tie_points = reconstruction.point3D_ids()
-    place_reconstruction(reconstruction, {}, ControlPoints(tuple(control(5)), CRS), adjusts=True,
-                         up=(0, 0, 1), keep_focal=keep)
+    place_reconstruction(
+        reconstruction, {}, ControlPoints(tuple(control(5)), CRS), adjusts=True, up=(0, 0, 1), keep_focal=keep
+    )
     assert (reconstruction.cameras[1].params[0] == 430) == keep
     assert reconstruction.point3D_ids() == tie_points  # the scene has none of the control points
 
@@ -108,8 +114,10 @@ def test_control_points_that_do_not_fit_the_photos_are_refused():
 def test_marks_must_name_one_photo_each():
     """A list may leave out the folders; drones number the photos of each from the same number."""
     name = (points := control(3))[0].marks[0][0]
-    for photos, words in (({"other.jpg"}, "no photo has a name of those in the file, such"),
-                          ({f"b/{name}", f"a/{name}"}, f"2 photos have the name {name}; wri")):
+    for photos, words in (
+        ({"other.jpg"}, "no photo has a name of those in the file, such"),
+        ({f"b/{name}", f"a/{name}"}, f"2 photos have the name {name}; wri"),
+    ):
         with pytest.raises(InputError, match=f"--gcp: {words}"):
             check_marks(points, photos)
     for photos in ({f"flight/{name}"}, {f"a/{name}", name}):

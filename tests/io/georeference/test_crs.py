@@ -1,6 +1,5 @@
 """Coordinate reference systems: their names, and conversions."""
 
-
 import numpy as np
 import pytest
 
@@ -27,8 +26,11 @@ def test_other_systems():
 
 def test_degrees_to_metres_and_to_the_earth():
     # the meeting of a central meridian and the equator
-    assert np.allclose(conversion("OGC:CRS84", "EPSG:32633", "--polygon")(
-        np.array([[15.0, 0.0], [15.0, 1e-5]])), [[500_000, 0], [500_000, 1.105]], atol=1e-3)
+    assert np.allclose(
+        conversion("OGC:CRS84", "EPSG:32633", "--polygon")(np.array([[15.0, 0.0], [15.0, 1e-5]])),
+        [[500_000, 0], [500_000, 1.105]],
+        atol=1e-3,
+    )
     earth = conversion("EPSG:32631", "EPSG:4978", "tiles")(np.array([[500_000.0, 0, 10]]))
     angle = np.radians(3)
     assert np.allclose(earth, 6378147 * np.array([[np.cos(angle), np.sin(angle), 0]]), atol=1e-3)
@@ -41,10 +43,14 @@ def test_what_cannot_be_converted():
         conversion("OGC:CRS84", "EPSG:32633", "--polygon")(np.array([[1000.0, 2000.0]]))
 
 
-@pytest.mark.parametrize("place, crs, east, north", [
-    ((30.17115, -98.08987), "EPSG:32614", 587630.75, 3338100.22),
-    ((-33.9, 18.4), "EPSG:32734", 259583.2, 6245888.0),
-    ((0.0, 180.0), "EPSG:32601", 166021.44, 0)])
+@pytest.mark.parametrize(
+    "place, crs, east, north",
+    [
+        ((30.17115, -98.08987), "EPSG:32614", 587630.75, 3338100.22),
+        ((-33.9, 18.4), "EPSG:32734", 259583.2, 6245888.0),
+        ((0.0, 180.0), "EPSG:32601", 166021.44, 0),
+    ],
+)
 def test_the_utm_zone_of_a_place(place, crs, east, north):
     positions, zone = map_positions([place], [7.5])
     assert zone == crs and positions[0] == pytest.approx((east, north, 7.5), abs=0.1)
@@ -58,10 +64,20 @@ def test_places_that_are_not_on_the_earth():
     assert np.isnan(map_positions([[5e6, 5e5]], [0.0])[0]).all()
 
 
-@pytest.mark.parametrize("definition, crs", [
-    ("EPSG:32633", "EPSG:32633"), ("EPSG:32633+5773", "EPSG:32633"), ("EPSG:4326", ""),
-    ("EPSG:2263", ""), ("EPSG:3045", "EPSG:3045"), ("EPSG:3857", ""), ("nonsense", ""), ("", ""),
-    ("a\0b", "")])
+@pytest.mark.parametrize(
+    "definition, crs",
+    [
+        ("EPSG:32633", "EPSG:32633"),
+        ("EPSG:32633+5773", "EPSG:32633"),
+        ("EPSG:4326", ""),
+        ("EPSG:2263", ""),
+        ("EPSG:3045", "EPSG:3045"),
+        ("EPSG:3857", ""),
+        ("nonsense", ""),
+        ("", ""),
+        ("a\0b", ""),
+    ],
+)
 def test_definitions_that_a_map_can_have(definition, crs):
     """Projected, in metres."""
     assert systems.project_crs(definition) == crs

@@ -17,11 +17,21 @@ from tests.data.fields import field
 from tests.data.tiny_model import write_scene
 from tests.io.models.test_ply import random_gaussians
 
-HERE = Georeference("EPSG:32614", (587671.0, 3338100.0, 309.0), "GPS of 40 photos", 1.25,
-                    "gps", 200.0, "ellipsoidal heights", (
-                        Residual("a.jpg", "control", 1.0, -2.0, None),
-                        Residual("b.jpg", "control", 3.0, 2.0, 0.5),
-                        Residual("c.jpg", "left out", 90.0, 0.0, 0.0, 7.5)), ("Look.",))
+HERE = Georeference(
+    "EPSG:32614",
+    (587671.0, 3338100.0, 309.0),
+    "GPS of 40 photos",
+    1.25,
+    "gps",
+    200.0,
+    "ellipsoidal heights",
+    (
+        Residual("a.jpg", "control", 1.0, -2.0, None),
+        Residual("b.jpg", "control", 3.0, 2.0, 0.5),
+        Residual("c.jpg", "left out", 90.0, 0.0, 0.0, 7.5),
+    ),
+    ("Look.",),
+)
 
 
 def test_a_georeference_is_read_as_it_was_written(tmp_path):
@@ -37,13 +47,11 @@ def test_a_georeference_states_its_errors_for_other_programs(tmp_path):
     files.write_georeference(tmp_path, HERE)
     record = json.loads((tmp_path / files.GEOREFERENCE).read_text())
     assert (record["control_count"], record["check_count"], record["left_out"]) == (2, 0, ["c.jpg"])
-    assert record["control_errors"]["east"] == {
-        "mean": 2, "sigma": 1, "rms": 2.2361, "within_90": 2.8}
+    assert record["control_errors"]["east"] == {"mean": 2, "sigma": 1, "rms": 2.2361, "within_90": 2.8}
     assert record["control_errors"]["up"]["rms"] == 0.5 and record["check_errors"] == {}
     old = {key: record[key] for key in ("crs", "offset", "source", "residual")}
     (tmp_path / files.GEOREFERENCE).write_text(json.dumps(old))
-    assert files.read_georeference(tmp_path) == Georeference(HERE.crs, HERE.offset, HERE.source,
-                                                             1.25)
+    assert files.read_georeference(tmp_path) == Georeference(HERE.crs, HERE.offset, HERE.source, 1.25)
 
 
 def test_an_orientation_is_read_as_it_was_written(tmp_path):
@@ -58,16 +66,25 @@ def test_an_orientation_is_read_as_it_was_written(tmp_path):
     assert files.read_orientation(tmp_path)[1] is None
 
 
-@pytest.mark.parametrize("name, key, value", [
-    (files.GEOREFERENCE, "crs", ""), (files.GEOREFERENCE, "crs", "EPSG:1\nEPSG:2"),
-    (files.GEOREFERENCE, "crs", 5),
-    (files.GEOREFERENCE, "offset", [1, 2]), (files.GEOREFERENCE, "offset", [1, 2, "3"]),
-    (files.GEOREFERENCE, "source", None), (files.GEOREFERENCE, "size", "5"),
-    (files.GEOREFERENCE, "residuals", [5]), (files.GEOREFERENCE, "residuals", [{"east": 1}]),
-    (files.GEOREFERENCE, "warnings", "Look."),
-    (files.ORIENTATION, "up", [0, 0, 0]), (files.ORIENTATION, "up", "z"),
-    (files.ORIENTATION, "first_view", 3),
-    (files.ORIENTATION, "first_view", {"width": 5})])
+@pytest.mark.parametrize(
+    "name, key, value",
+    [
+        (files.GEOREFERENCE, "crs", ""),
+        (files.GEOREFERENCE, "crs", "EPSG:1\nEPSG:2"),
+        (files.GEOREFERENCE, "crs", 5),
+        (files.GEOREFERENCE, "offset", [1, 2]),
+        (files.GEOREFERENCE, "offset", [1, 2, "3"]),
+        (files.GEOREFERENCE, "source", None),
+        (files.GEOREFERENCE, "size", "5"),
+        (files.GEOREFERENCE, "residuals", [5]),
+        (files.GEOREFERENCE, "residuals", [{"east": 1}]),
+        (files.GEOREFERENCE, "warnings", "Look."),
+        (files.ORIENTATION, "up", [0, 0, 0]),
+        (files.ORIENTATION, "up", "z"),
+        (files.ORIENTATION, "first_view", 3),
+        (files.ORIENTATION, "first_view", {"width": 5}),
+    ],
+)
 def test_damaged_files_are_named(tmp_path, name, key, value):
     files.write_georeference(tmp_path, HERE)
     files.write_orientation(tmp_path, [0, 0, 1], field().first_view)
@@ -83,11 +100,11 @@ def test_damaged_files_are_named(tmp_path, name, key, value):
 
 def test_comments_of_a_model_name_its_place(tmp_path):
     gaussians = random_gaussians()
-    write_ply(tmp_path / "a.ply", gaussians, (1.0, 2.0, 3.0),
-              files.placement_comments([0.0, 0.01, 0.99995], HERE))
+    write_ply(tmp_path / "a.ply", gaussians, (1.0, 2.0, 3.0), files.placement_comments([0.0, 0.01, 0.99995], HERE))
     comments = read_vertices(tmp_path / "a.ply")[1]
     assert files.commented_georeference(comments) == Georeference(
-        HERE.crs, HERE.offset, "comments of the model's file", 0.0)
+        HERE.crs, HERE.offset, "comments of the model's file", 0.0
+    )
     text = "\n".join(comments)
     assert "\ncrs EPSG:32614\n" in text and "\nVertical Axis: z\n" in text
     assert "\nmap_offset 587671.0 3338100.0 309.0 is not contained in the positions" in text

@@ -40,14 +40,20 @@ def test_rtk_straightens_a_survey_and_measures_its_lens(strips):
     assert any(note.startswith("adjusted to the positions of 47 photos") for note in placed.notes)
     lens = made.cameras[1]
     assert lens.principal_point_x == pytest.approx(2014, abs=4)
-    assert max(abs(each.east) for each in placed.georeference.residuals
-               if each.name in wrong) > FAR / 10
+    assert max(abs(each.east) for each in placed.georeference.residuals if each.name in wrong) > FAR / 10
 
 
 def test_the_same_positions_make_the_same_bytes(strips):
     survey, bent = strips
-    places = [np.array([image.projection_center() for image in measured(
-        survey, bent, survey.metadata(RTK), adjusts=True)[2].images.values()]) for _ in range(2)]
+    places = [
+        np.array(
+            [
+                image.projection_center()
+                for image in measured(survey, bent, survey.metadata(RTK), adjusts=True)[2].images.values()
+            ]
+        )
+        for _ in range(2)
+    ]
     assert places[0].tobytes() == places[1].tobytes()
 
 
@@ -56,14 +62,15 @@ def test_gps_changes_the_shape_only_where_photos_leave_it_open(strips):
     _, placed, made = measured(survey, bent, survey.metadata(GPS), adjusts=True, keep_focal=True)
     assert placed.priors.std[0] == pytest.approx(2, rel=0.3)
     assert placed.priors.moved[1] < 0.5 and placed.priors.focal_percent == 0
-    assert (made.cameras[1].principal_point_x, made.cameras[1].focal_length_x) == (
-        2000, bent.cameras[1].focal_length_x)
+    assert (made.cameras[1].principal_point_x, made.cameras[1].focal_length_x) == (2000, bent.cameras[1].focal_length_x)
 
 
 def test_accuracies_that_are_stated_too_small_are_not_believed(strips):
     survey, bent = strips
-    known = {name: replace(each, gps_std=(0.01, 0.01, 0.01))
-             for name, each in survey.metadata(Receiver((1.0, 1.0, 1.0))).items()}
+    known = {
+        name: replace(each, gps_std=(0.01, 0.01, 0.01))
+        for name, each in survey.metadata(Receiver((1.0, 1.0, 1.0))).items()
+    }
     found, placed, _ = measured(survey, bent, known, adjusts=True)
     assert min(placed.priors.std) > 0.5 and worst(survey, found) < 2
 
@@ -85,5 +92,4 @@ def test_positions_that_are_too_bad_or_too_few_are_no_priors(tmp_path, count, no
     placed = place_reconstruction(bent, known, ControlPoints(), adjusts=True)
     assert placed.priors is None and placed.warnings
     place_reconstruction(kept, known, ControlPoints())
-    assert all((bent.points3D[number].xyz == point.xyz).all()
-               for number, point in kept.points3D.items())
+    assert all((bent.points3D[number].xyz == point.xyz).all() for number, point in kept.points3D.items())

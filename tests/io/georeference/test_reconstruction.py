@@ -43,8 +43,7 @@ def test_gps_gives_metres_in_the_utm_zone(survey):
 
 def test_altitudes_are_not_labelled_as_heights_of_a_crs(survey):
     crs = normal_crs(f"{CRS}+5773")
-    placed = place_reconstruction(survey.reconstruction(), survey.metadata(),
-                                  ControlPoints(crs=crs))
+    placed = place_reconstruction(survey.reconstruction(), survey.metadata(), ControlPoints(crs=crs))
     assert placed.georeference.crs == CRS and "altitudes" in placed.georeference.vertical
     assert any(note.startswith("heights are not in EGM96 height") for note in placed.notes)
 
@@ -55,8 +54,7 @@ def test_a_bad_fix_is_named(survey):
     metadata[bad] = replace(metadata[bad], latitude=metadata[bad].latitude + 0.01)
     reconstruction = survey.reconstruction()
     placed = place_reconstruction(reconstruction, metadata, ControlPoints())
-    assert placed.georeference.source == \
-        f"GPS of 11 photos, without {bad}, whose positions are wrong"
+    assert placed.georeference.source == f"GPS of 11 photos, without {bad}, whose positions are wrong"
     assert error(survey, reconstruction, placed.georeference) < 0.05
 
 
@@ -78,8 +76,7 @@ def test_without_gps_the_scene_is_turned_as_viewers_expect(survey):
         assert placed.georeference is None and not placed.warnings
         assert placed.notes == (f"not georeferenced: {why}",)
         assert placed.up.tolist() == [0, -1, 0]
-        heights = -np.array([image.projection_center()[1]
-                             for image in reconstruction.images.values()])
+        heights = -np.array([image.projection_center()[1] for image in reconstruction.images.values()])
         ground = -np.array([point.xyz[1] for point in reconstruction.points3D.values()])
         assert heights.min() > np.quantile(ground, 0.9)
 
@@ -97,16 +94,22 @@ def test_portraits_stand_upright_however_they_are_stored(tmp_path, stored_uprigh
     write_colmap(tmp_path, views, places, np.zeros((50, 3), np.uint8))
     reconstruction = pycolmap.Reconstruction(tmp_path)
     # the first scene is one whose photos were turned, and the metadata are of the originals
-    turned(reconstruction, {view.name: PhotoMetadata(64, 48, orientation=6) for view in views},
-           NotGeoreferenced("no photo has GPS"))
+    turned(
+        reconstruction,
+        {view.name: PhotoMetadata(64, 48, orientation=6) for view in views},
+        NotGeoreferenced("no photo has GPS"),
+    )
     heights = [image.projection_center()[1] for image in reconstruction.images.values()]
     assert heights == pytest.approx(12 * [-1])
 
 
 def control(survey, indices, shift=0.0):
-    return [ControlPoint(f"P{index}", tuple(survey.points[index]),
-                         tuple((name, x + shift, y) for name, x, y in survey.marks(index)))
-            for index in indices]
+    return [
+        ControlPoint(
+            f"P{index}", tuple(survey.points[index]), tuple((name, x + shift, y) for name, x, y in survey.marks(index))
+        )
+        for index in indices
+    ]
 
 
 def best_seen(survey, count):
@@ -119,8 +122,7 @@ def test_control_points_give_the_place_without_gps(survey, marks):
     is wrong."""
     reconstruction = survey.reconstruction()
     points = control(survey, best_seen(survey, 5))
-    lost = ControlPoint("lost", (0.0, 0.0, 0.0), marks or (
-        points[0].marks[0], (points[0].marks[1][0], 1.0, 1.0)))
+    lost = ControlPoint("lost", (0.0, 0.0, 0.0), marks or (points[0].marks[0], (points[0].marks[1][0], 1.0, 1.0)))
     (name, x, y), *others = points[0].marks
     points[0] = replace(points[0], marks=((name, 64 * (x < 32), 48 * (y < 24)), *others))
     placed = place_reconstruction(reconstruction, {}, ControlPoints((*points, lost), CRS))
@@ -129,15 +131,16 @@ def test_control_points_give_the_place_without_gps(survey, marks):
 
 
 def test_marks_in_the_pixels_of_larger_photos_are_refused(survey):
-    points = [replace(point, marks=tuple((name, 4 * x, 4 * y) for name, x, y in point.marks))
-              for point in control(survey, best_seen(survey, 5))]
+    points = [
+        replace(point, marks=tuple((name, 4 * x, 4 * y) for name, x, y in point.marks))
+        for point in control(survey, best_seen(survey, 5))
+    ]
     with pytest.raises(InputError, match="in the pixels of the photos that were reconstructed"):
         place_reconstruction(survey.reconstruction(), {}, ControlPoints(tuple(points), CRS))
 
 
 def test_control_points_far_from_the_photos_own_gps_are_refused(survey):
-    metadata = {name: replace(known, latitude=known.latitude + 0.1)
-                for name, known in survey.metadata().items()}
+    metadata = {name: replace(known, latitude=known.latitude + 0.1) for name, known in survey.metadata().items()}
     points = ControlPoints(tuple(control(survey, best_seen(survey, 5))), CRS)
     with pytest.raises(InputError, match="place the photos 11 km from their GPS: is it the right"):
         place_reconstruction(survey.reconstruction(), metadata, points)

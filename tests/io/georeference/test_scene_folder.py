@@ -17,10 +17,17 @@ def survey(tmp_path):
     survey = Survey(tmp_path / "scene")
     (tmp_path / "scene" / "images").mkdir()
     for name, known in survey.metadata().items():
-        photo(tmp_path / "scene" / "images" / name, {
-            "GPS:LatitudeRef": "N", "GPS:Latitude": (known.latitude, 0.0, 0.0),
-            "GPS:LongitudeRef": "W", "GPS:Longitude": (-known.longitude, 0.0, 0.0),
-            "GPS:AltitudeRef": 0, "GPS:Altitude": known.altitude})
+        photo(
+            tmp_path / "scene" / "images" / name,
+            {
+                "GPS:LatitudeRef": "N",
+                "GPS:Latitude": (known.latitude, 0.0, 0.0),
+                "GPS:LongitudeRef": "W",
+                "GPS:Longitude": (-known.longitude, 0.0, 0.0),
+                "GPS:AltitudeRef": 0,
+                "GPS:Altitude": known.altitude,
+            },
+        )
     return survey
 
 
@@ -28,8 +35,7 @@ def test_a_scene_folder_is_georeferenced(tmp_path, survey):
     placed = georeference_scene(tmp_path / "scene", tmp_path / "out")
     scene = read_scene(tmp_path / "out")
     assert scene.georeference == placed.georeference and scene.georeference.crs == CRS
-    places = scene.georeference.to_map([view.camera.position + scene.offset
-                                        for view in scene.views])
+    places = scene.georeference.to_map([view.camera.position + scene.offset for view in scene.views])
     assert np.abs(places - survey.centres).max() < 3  # EXIF's numbers have 7 digits here
     assert len(scene.observations) == len(survey.scene.observations)
     with pytest.raises(InputError, match="out: exists already"):
@@ -54,7 +60,11 @@ def test_the_new_folder_may_be_in_that_of_the_scene(tmp_path, survey):
     georeference_scene(survey.folder, survey.folder / "utm")
     assert {path.name for path in survey.folder.iterdir()} == {"images", "sparse", "utm"}
     assert {path.name for path in (survey.folder / "utm").iterdir()} == {
-        "images", "sparse", "georeference.json", "orientation.json"}
+        "images",
+        "sparse",
+        "georeference.json",
+        "orientation.json",
+    }
 
 
 def test_a_full_disk_leaves_nothing(tmp_path, survey):

@@ -119,10 +119,8 @@ def test_unused_harmonics_are_not_written(tmp_path, suffix):
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_half_turn_is_that_rotation(axis):
     gaussians = model(20, 3)
-    turned = half_turn({name: values.astype(np.float64) for name, values in
-                        gaussians.rows.items()}, axis)
-    expected = transformed(gaussians, rotation=Rotation.from_rotvec(
-        np.pi * np.eye(3)[axis]).as_matrix())
+    turned = half_turn({name: values.astype(np.float64) for name, values in gaussians.rows.items()}, axis)
+    expected = transformed(gaussians, rotation=Rotation.from_rotvec(np.pi * np.eye(3)[axis]).as_matrix())
     assert turns(turned["quaternions"], expected.quaternions).max() < 1e-6
     for name in ("positions", "log_scales", "sh_constant", "sh_rest", "opacity_logits"):
         assert np.allclose(turned[name], expected.rows[name], atol=1e-6), name
@@ -130,13 +128,17 @@ def test_a_half_turn_is_that_rotation(axis):
 
 def test_glb_is_upright_and_says_what_it_is(tmp_path):
     gaussians = model(5, 1)
-    write_model(tmp_path / "a.glb", gaussians, ["SplatRenderMode: mip"], up=(0, 0, 1),
-                georeference=Georeference("EPSG:32614", (5e5, 5e6, 0), "GPS", 0.1))
+    write_model(
+        tmp_path / "a.glb",
+        gaussians,
+        ["SplatRenderMode: mip"],
+        up=(0, 0, 1),
+        georeference=Georeference("EPSG:32614", (5e5, 5e6, 0), "GPS", 0.1),
+    )
     document, _ = parts(tmp_path / "a.glb")
     upright = Rotation.from_quat(document["nodes"][0]["rotation"])
     # half a turn about z keeps z; east becomes left, north becomes forward
-    assert np.allclose(upright.apply([(0, 0, 1), (-1, 0, 0), (0, -1, 0)]),
-                       [(0, 1, 0), (-1, 0, 0), (0, 0, 1)])
+    assert np.allclose(upright.apply([(0, 0, 1), (-1, 0, 0), (0, -1, 0)]), [(0, 1, 0), (-1, 0, 0), (0, 0, 1)])
     comments = document["asset"]["extras"]["comments"]
     assert "SplatRenderMode: mip" in comments and "up 0 0 1" in comments
     assert any(line.startswith("map_offset 500000.0 5000000.0 0.0") for line in comments)
@@ -154,13 +156,19 @@ def test_an_antialiased_model_says_so(tmp_path):
 
 def test_spz_of_version_2(tmp_path):
     """A file as the specification describes it, written here."""
-    body = b"".join((
-        struct.pack("<4sIIBBBB", b"NGSP", 2, 1, 0, 8, 0, 0),
-        b"".join(struct.pack("<i", v)[:3] for v in (256, -512, 768)),
-        bytes([51]), bytes([127, 255, 0]), bytes([160, 176, 144]), bytes([255, 127, 127])))
+    body = b"".join(
+        (
+            struct.pack("<4sIIBBBB", b"NGSP", 2, 1, 0, 8, 0, 0),
+            b"".join(struct.pack("<i", v)[:3] for v in (256, -512, 768)),
+            bytes([51]),
+            bytes([127, 255, 0]),
+            bytes([160, 176, 144]),
+            bytes([255, 127, 127]),
+        )
+    )
     (tmp_path / "a.spz").write_bytes(
-        b"\x1f\x8b\x08\0\0\0\0\0\0\xff" + packed(body, -15)
-        + struct.pack("<II", zlib.crc32(body), len(body)))
+        b"\x1f\x8b\x08\0\0\0\0\0\0\xff" + packed(body, -15) + struct.pack("<II", zlib.crc32(body), len(body))
+    )
     found = read_model(tmp_path / "a.spz")
     assert np.allclose(found.positions, [(1, 2, -3)])  # up is -y of a PLY, backward is -z
     assert np.allclose(opacity(found), 0.2) and np.allclose(found.log_scales, [(0, 1, -1)])
@@ -213,8 +221,7 @@ def test_points_in_map_coordinates(tmp_path, suffix):
 def test_clouds(tmp_path, kind, scale):
     points = np.random.default_rng(0).normal(size=(60, 3)) + UTM
     colours = np.random.default_rng(1).integers(0, 256, (60, 3))
-    table = np.zeros(60, [*((name, "f8") for name in "xyz"),
-                          *((name, kind) for name in ("red", "green", "blue"))])
+    table = np.zeros(60, [*((name, "f8") for name in "xyz"), *((name, kind) for name in ("red", "green", "blue"))])
     for name, values in zip(table.dtype.names, [*points.T, *(scale * colours).T]):
         table[name] = values
     path = tmp_path / "a.ply"
@@ -231,14 +238,19 @@ def test_clouds(tmp_path, kind, scale):
 def parts(path):
     """The document of a binary glTF and its buffer."""
     data = path.read_bytes()
-    size, = struct.unpack_from("<I", data, 12)
-    return json.loads(data[20:20 + size]), data[28 + size:]
+    (size,) = struct.unpack_from("<I", data, 12)
+    return json.loads(data[20 : 20 + size]), data[28 + size :]
 
 
 def changed(path, document, content):
     text = json.dumps(document).encode()
-    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 0) + struct.pack("<I4s", len(text), b"JSON")
-                     + text + struct.pack("<I4s", len(content), b"BIN\0") + content)
+    path.write_bytes(
+        struct.pack("<4sII", b"glTF", 2, 0)
+        + struct.pack("<I4s", len(text), b"JSON")
+        + text
+        + struct.pack("<I4s", len(content), b"BIN\0")
+        + content
+    )
 
 
 @pytest.mark.parametrize("count, degree", [(1, 0), (200, 0), (200, 3)])

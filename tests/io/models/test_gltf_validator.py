@@ -36,24 +36,26 @@ def complaints():
     if node is None:
         pytest.skip("node is not installed: apt-get install nodejs")
     if not (Path(folder) / "node_modules/gltf-validator").is_dir() or not folder:
-        pytest.skip("CLSPLAT_NODE_MODULES names no folder in which "
-                    "`npm install gltf-validator@2.0.0-dev.3.10` was run")
+        pytest.skip("CLSPLAT_NODE_MODULES names no folder in which `npm install gltf-validator@2.0.0-dev.3.10` was run")
 
     def run(path):
-        done = subprocess.run([node, "-e", SCRIPT, folder, path], capture_output=True, text=True,
-                              timeout=100, check=True)
+        done = subprocess.run(
+            [node, "-e", SCRIPT, folder, path], capture_output=True, text=True, timeout=100, check=True
+        )
         found = json.loads(done.stdout)
         assert not found["truncated"]
-        return [(each["code"], each["pointer"]) for each in found["messages"]
-                if each["severity"] in (ERROR, WARNING)]
+        return [(each["code"], each["pointer"]) for each in found["messages"] if each["severity"] in (ERROR, WARNING)]
 
     return run
 
 
 def unknown(found):
     """Those that are not about the name of an attribute of splats."""
-    return [each for each in found if each[0] != "MESH_PRIMITIVE_INVALID_ATTRIBUTE"
-            or f"/attributes/{EXTENSION}:" not in each[1]]
+    return [
+        each
+        for each in found
+        if each[0] != "MESH_PRIMITIVE_INVALID_ATTRIBUTE" or f"/attributes/{EXTENSION}:" not in each[1]
+    ]
 
 
 @pytest.mark.parametrize("count, degree, named", [(0, 0, 0), (40, 0, 4), (40, 3, 19)])

@@ -36,9 +36,9 @@ def in_crs(crs):
     return np.column_stack([*to.transform(*places[:, :2].T), places[:, 2]])
 
 
-@pytest.mark.parametrize("crs", [
-    "EPSG:4979", "EPSG:28355", "EPSG:4326+5773", "EPSG:32755+6360",
-    "+proj=utm +zone=55 +south +units=us-ft"])
+@pytest.mark.parametrize(
+    "crs", ["EPSG:4979", "EPSG:28355", "EPSG:4326+5773", "EPSG:32755+6360", "+proj=utm +zone=55 +south +units=us-ft"]
+)
 def test_files_of_another_crs_are_refused(tmp_path, crs):
     flat = crs.partition("+")[0] if crs.startswith("EPSG") else crs
     path = write(tmp_path / "a.laz", in_crs(flat), crs)
@@ -46,9 +46,16 @@ def test_files_of_another_crs_are_refused(tmp_path, crs):
         read_model(path, georeference=PLACE)
 
 
-@pytest.mark.parametrize("version, crs, own", [
-    ("1.2", "EPSG:32755", PLACE.crs), ("1.4", None, PLACE.crs), ("1.4", "EPSG:32755", COMPOUND),
-    ("1.4", COMPOUND, COMPOUND), ("1.4", COMPOUND, PLACE.crs)])
+@pytest.mark.parametrize(
+    "version, crs, own",
+    [
+        ("1.2", "EPSG:32755", PLACE.crs),
+        ("1.4", None, PLACE.crs),
+        ("1.4", "EPSG:32755", COMPOUND),
+        ("1.4", COMPOUND, COMPOUND),
+        ("1.4", COMPOUND, PLACE.crs),
+    ],
+)
 def test_files_of_the_scenes_crs_or_of_none_stay(tmp_path, version, crs, own, caplog):
     path = write(tmp_path / "a.las", POINTS + PLACE.offset, crs, version)
     found = read_model(path, georeference=replace(PLACE, crs=own))

@@ -41,8 +41,7 @@ def test_ply(tmp_path, away, kind):
 def test_obj(tmp_path):
     write_mesh(tmp_path / "m.obj", mesh_at(5e6), NOTES)
     lines = (tmp_path / "m.obj").read_text().splitlines()
-    rows = {kind: [line.split()[1:] for line in lines if line.startswith(kind + " ")]
-            for kind in "vf#"}
+    rows = {kind: [line.split()[1:] for line in lines if line.startswith(kind + " ")] for kind in "vf#"}
     vertices = np.array(rows["v"], float)
     assert abs(vertices[:, :3] - CORNERS - 5e6).max() < 1e-3
     assert np.array_equal(np.rint(255 * vertices[:, 3:]), COLOURS)
@@ -56,12 +55,12 @@ def test_glb(tmp_path):
     data = (tmp_path / "m.glb").read_bytes()
     magic, version, length, size, kind = struct.unpack_from("<4sIII4s", data)
     assert (magic, version, length, kind) == (b"glTF", 2, len(data), b"JSON")
-    document = json.loads(data[20:20 + size])
-    content = data[28 + size:]
+    document = json.loads(data[20 : 20 + size])
+    content = data[28 + size :]
 
     def values(accessor, dtype, width):
         view = document["bufferViews"][document["accessors"][accessor]["bufferView"]]
-        part = content[view["byteOffset"]:view["byteOffset"] + view["byteLength"]]
+        part = content[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
         return np.frombuffer(part, dtype).reshape(-1, width)
 
     root, node = document["nodes"]
@@ -75,7 +74,8 @@ def test_glb(tmp_path):
     assert np.array_equal(values(2, "<u4", 3), TRIANGLES)
     bounds = document["accessors"][0]
     assert np.allclose(bounds["min"], -np.array([0.5, 1, 1.5])) and "EPSG:32633" in str(
-        document["asset"]["extras"]["comments"])
+        document["asset"]["extras"]["comments"]
+    )
 
 
 def test_what_cannot_be_written(tmp_path):

@@ -30,19 +30,22 @@ def test_a_zip_with_a_folder(tmp_path, members):
     assert equal(read_model(path), read_model(tmp_path / "whole.sog"))
 
 
-@pytest.mark.parametrize("change, words", [
-    (lambda meta: meta.pop("version"), "another version is not read"),
-    (lambda meta: meta.update(version=3), "another version is not read"),
-    (lambda meta: meta.update(count=-1), "count is not"), (lambda meta: meta.update(count=1e9),
-                                                           "count is not"),
-    (lambda meta: meta.update(count=True), "count is not"),
-    (lambda meta: meta.update(count=31 * 31), "pixels for"),
-    (lambda meta: meta["sh0"].update(files=["gone.webp"]), "damaged"),
-    (lambda meta: meta["sh0"].update(files="sh0.webp"), "damaged"),
-    (lambda meta: meta["shN"].update(bands=4), "damaged"),
-    (lambda meta: meta["shN"].update(files=["shN_labels.webp"]), "damaged"),
-    (lambda meta: meta.pop("quats"), "damaged"),
-])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (lambda meta: meta.pop("version"), "another version is not read"),
+        (lambda meta: meta.update(version=3), "another version is not read"),
+        (lambda meta: meta.update(count=-1), "count is not"),
+        (lambda meta: meta.update(count=1e9), "count is not"),
+        (lambda meta: meta.update(count=True), "count is not"),
+        (lambda meta: meta.update(count=31 * 31), "pixels for"),
+        (lambda meta: meta["sh0"].update(files=["gone.webp"]), "damaged"),
+        (lambda meta: meta["sh0"].update(files="sh0.webp"), "damaged"),
+        (lambda meta: meta["shN"].update(bands=4), "damaged"),
+        (lambda meta: meta["shN"].update(files=["shN_labels.webp"]), "damaged"),
+        (lambda meta: meta.pop("quats"), "damaged"),
+    ],
+)
 def test_what_does_not_fit(tmp_path, members, change, words):
     meta = json.loads(members["meta.json"])
     change(meta)

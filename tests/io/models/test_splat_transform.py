@@ -30,12 +30,17 @@ def convert():
     if node is None:
         pytest.skip("node is not installed: apt-get install nodejs")
     if not folder or not command.is_file():
-        pytest.skip("CLSPLAT_NODE_MODULES names no folder in which "
-                    "`npm install @playcanvas/splat-transform@2.7.1` was run")
+        pytest.skip(
+            "CLSPLAT_NODE_MODULES names no folder in which `npm install @playcanvas/splat-transform@2.7.1` was run"
+        )
 
     def run(source, target, version="3"):
-        done = subprocess.run([node, command, "-q", "-w", "-g", "cpu", "--spz-version", version,
-                               source, target], capture_output=True, text=True, timeout=300)
+        done = subprocess.run(
+            [node, command, "-q", "-w", "-g", "cpu", "--spz-version", version, source, target],
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
         assert done.returncode == 0, done.stdout + done.stderr
         return target
 
@@ -75,8 +80,7 @@ def test_it_skips_the_origin_of_version_4(tmp_path, convert):
     compare(found, gaussians, (*BOUNDS[".spz"][:2], 0.015, *BOUNDS[".spz"][3:]))
 
 
-@pytest.mark.parametrize("suffix, version", [(".sog", "3"), (".spz", "3"), (".spz", "4"),
-                                             (".glb", "3")])
+@pytest.mark.parametrize("suffix, version", [(".sog", "3"), (".spz", "3"), (".spz", "4"), (".glb", "3")])
 def test_we_read_what_it_writes(tmp_path, convert, suffix, version):
     if version == "4":
         pytest.importorskip("zstandard", reason="an extra: pip install '.[spz]'")
@@ -104,8 +108,7 @@ def glb_attributes(path):
         start = document["bufferViews"][accessor["bufferView"]]["byteOffset"]
         width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
         kind = {5121: np.uint8, 5126: np.float32}[accessor["componentType"]]
-        found[name] = np.frombuffer(content, kind, width * accessor["count"], start).reshape(
-            -1, width)
+        found[name] = np.frombuffer(content, kind, width * accessor["count"], start).reshape(-1, width)
     return found, primitive["extensions"]
 
 

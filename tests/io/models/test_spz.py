@@ -25,11 +25,12 @@ def parts_of(folder, count, degree):
     data = gzip.decompress((folder / "v3.spz").read_bytes())
     widths = (9, 1, 3, 3, 4, 3 * ((degree + 1) ** 2 - 1))
     ends = 16 + np.cumsum([count * width for width in widths])
-    return data[:16], [data[end - count * width:end] for end, width in zip(ends, widths)]
+    return data[:16], [data[end - count * width : end] for end, width in zip(ends, widths)]
 
 
-def version_4(folder, count=7, degree=3, *, extra=b"", flags=0, change=lambda table: table,
-              number=None, fourth=False, frames=None):
+def version_4(
+    folder, count=7, degree=3, *, extra=b"", flags=0, change=lambda table: table, number=None, fourth=False, frames=None
+):
     """Write a file of version 4, as its README has it."""
     head, parts = parts_of(folder, count, degree)
     if fourth:
@@ -38,11 +39,19 @@ def version_4(folder, count=7, degree=3, *, extra=b"", flags=0, change=lambda ta
     parts = [part for part in parts if part]
     packed = frames or [zstandard.ZstdCompressor(level=12).compress(part) for part in parts]
     table = change([(len(p), len(part)) for p, part in zip(packed, parts)])
-    header = struct.pack("<4sIIBBBBI12x", b"NGSP", 4, count, 4 if fourth else degree, head[13],
-                         flags, len(parts) if number is None else number, 32 + len(extra))
+    header = struct.pack(
+        "<4sIIBBBBI12x",
+        b"NGSP",
+        4,
+        count,
+        4 if fourth else degree,
+        head[13],
+        flags,
+        len(parts) if number is None else number,
+        32 + len(extra),
+    )
     path = folder / "v4.spz"
-    path.write_bytes(header + extra + b"".join(struct.pack("<QQ", *row) for row in table)
-                     + b"".join(packed))
+    path.write_bytes(header + extra + b"".join(struct.pack("<QQ", *row) for row in table) + b"".join(packed))
     return path
 
 
@@ -74,15 +83,18 @@ def frame(content):
     return packer.compress(content) + packer.flush()
 
 
-@pytest.mark.parametrize("options, words", [
-    ({"number": 255}, "table of 255 streams"),
-    ({"change": lambda t: [(1 << 60, 63), *t[1:]]}, "more or less"),
-    ({"change": lambda t: [(t[0][0], 1 << 50), *t[1:]]}, "claims to hold 1125899906842624"),
-    ({"flags": 2, "extra": struct.pack("<II", 0x12340001, 0)}, "extensions are not read"),
-    ({"fourth": True}, "SH degree 4"),
-    ({"frames": 6 * [b"no Zstandard"]}, "damaged"),
-    ({"frames": 6 * [frame(bytes(1 << 26))]}, "more or less"),
-])
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ({"number": 255}, "table of 255 streams"),
+        ({"change": lambda t: [(1 << 60, 63), *t[1:]]}, "more or less"),
+        ({"change": lambda t: [(t[0][0], 1 << 50), *t[1:]]}, "claims to hold 1125899906842624"),
+        ({"flags": 2, "extra": struct.pack("<II", 0x12340001, 0)}, "extensions are not read"),
+        ({"fourth": True}, "SH degree 4"),
+        ({"frames": 6 * [b"no Zstandard"]}, "damaged"),
+        ({"frames": 6 * [frame(bytes(1 << 26))]}, "more or less"),
+    ],
+)
 def test_damage(tmp_path, options, words):
     path = version_4(tmp_path, **options)
     tracemalloc.start()

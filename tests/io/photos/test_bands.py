@@ -1,5 +1,4 @@
-"""Photos read a few rows at a time: the same bytes as whole ones, and never a whole one in memory.
-"""
+"""Photos read a few rows at a time: the same bytes as whole ones, and never a whole one in memory."""
 
 import tracemalloc
 from dataclasses import replace
@@ -44,9 +43,16 @@ def with_alpha(path):
     Image.fromarray(np.dstack([PIXELS, VALID * np.uint8(255)])).save(path)
 
 
-WRITERS = {"jpg": saved(quality=90), "progressive.jpg": saved(quality=90, progressive=True),
-           "turned.jpg": saved(exif=ORIENTED), "png": saved(), "webp": saved(lossless=True),
-           "16.png": sixteen_bits, "16.tif": sixteen_bits, "alpha.png": with_alpha}
+WRITERS = {
+    "jpg": saved(quality=90),
+    "progressive.jpg": saved(quality=90, progressive=True),
+    "turned.jpg": saved(exif=ORIENTED),
+    "png": saved(),
+    "webp": saved(lossless=True),
+    "16.png": sixteen_bits,
+    "16.tif": sixteen_bits,
+    "alpha.png": with_alpha,
+}
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
@@ -66,8 +72,7 @@ def test_strips_give_the_bytes_of_the_whole_photo(tmp_path, monkeypatch, suffix,
         cropped = CAMERA.cropped(left, top, right, bottom)
         for level in (1, 2.5, 4):
             camera = cropped.reduced(level)
-            expected = resample.resample(whole[top:bottom, left:right],
-                                         (camera.width, camera.height))
+            expected = resample.resample(whole[top:bottom, left:right], (camera.width, camera.height))
             planes = decode(replace(view, camera=camera))
             assert np.array_equal(planes[:3], expected.transpose(2, 0, 1))
             assert np.array_equal(read_photo(replace(view, camera=camera)), expected)
@@ -93,8 +98,11 @@ def large(tmp_path_factory):
 @pytest.mark.one_in(3)
 def test_no_photo_is_in_memory_beside_what_is_asked_for(large, monkeypatch, part):
     monkeypatch.setattr(resample, "BAND_BYTES", 1 << 17)
-    camera = {"level": large.camera.reduced(10), "whole": large.camera,
-              "window": large.camera.cropped(640, 480, 800, 600)}[part]
+    camera = {
+        "level": large.camera.reduced(10),
+        "whole": large.camera,
+        "window": large.camera.cropped(640, 480, 800, 600),
+    }[part]
     decode(replace(large, camera=camera))  # imports
     tracemalloc.start()
     decode(replace(large, camera=camera, mask=None))

@@ -22,8 +22,7 @@ SHADES = np.dstack([4 * x, 5 * y, 2 * x + y]).astype(np.uint8)  # turned or mirr
 @pytest.fixture
 def heic(tmp_path):
     pytest.importorskip("pillow_heif", reason="an extra: pip install '.[photos]'")
-    return lambda pixels=SHADES, *rest, **options: write_heic(
-        tmp_path / "a.heic", pixels, *rest, **options)
+    return lambda pixels=SHADES, *rest, **options: write_heic(tmp_path / "a.heic", pixels, *rest, **options)
 
 
 @pytest.fixture
@@ -41,9 +40,10 @@ def check_metadata(data, model):
     assert data.gimbal_pitch == -89.5
 
 
-@pytest.mark.parametrize("orientation, turned", [
-    (1, SHADES), (3, np.rot90(SHADES, 2)), (6, np.rot90(SHADES, -1)), (8, np.rot90(SHADES)),
-    (2, SHADES[:, ::-1])])
+@pytest.mark.parametrize(
+    "orientation, turned",
+    [(1, SHADES), (3, np.rot90(SHADES, 2)), (6, np.rot90(SHADES, -1)), (8, np.rot90(SHADES)), (2, SHADES[:, ::-1])],
+)
 def test_heic_is_upright(heic, orientation, turned):
     """libheif turns it; EXIF, which phones write too, must not turn it again."""
     path = heic(SHADES, orientation)
@@ -78,7 +78,7 @@ def test_raw_is_developed_in_its_own_white_balance(dng):
         light[:24] = 0.5, 0.1, 0.1
         light[:, :8] = brightest
         found = read_image(dng(light))
-        want = 255 * (1.055 * light**(1 / 2.4) - 0.055)
+        want = 255 * (1.055 * light ** (1 / 2.4) - 0.055)
         for at in ((12, 40), (36, 40), (24, 3)):
             assert np.abs(found[at] - want[at]).max() <= 2, at
 
@@ -119,15 +119,15 @@ def test_a_photo_under_the_name_of_raw_is_what_its_content_says(tmp_path):
     assert np.array_equal(read_image(path), SHADES)
 
 
-@pytest.mark.parametrize("make, package, what", [
-    ("heic", "pillow_heif", "HEIC"), ("dng", "rawpy", "camera RAW")])
+@pytest.mark.parametrize("make, package, what", [("heic", "pillow_heif", "HEIC"), ("dng", "rawpy", "camera RAW")])
 def test_the_library_that_is_missing_is_named(request, monkeypatch, make, package, what):
-    path = request.getfixturevalue(make)(np.full((48, 64, 3), 80, np.uint8) if make == "heic" else
-                                         np.full((48, 64, 3), 0.3))
+    path = request.getfixturevalue(make)(
+        np.full((48, 64, 3), 80, np.uint8) if make == "heic" else np.full((48, 64, 3), 0.3)
+    )
     monkeypatch.setitem(sys.modules, package, None)
     assert refused(lambda: read_image(path)) == (
-        f"{path}: {what} needs {package.replace('_', '-')}, of the extra photos; `pip install "
-        "pillow-heif rawpy`")
+        f"{path}: {what} needs {package.replace('_', '-')}, of the extra photos; `pip install pillow-heif rawpy`"
+    )
 
 
 @pytest.mark.parametrize("make, light", [("heic", SHADES), ("dng", np.full((48, 64, 3), 0.3))])
@@ -135,7 +135,7 @@ def test_damage(request, make, light):
     path = request.getfixturevalue(make)(light)
     data = path.read_bytes()
     for share in (0.02, 0.3, 0.7):
-        path.write_bytes(data[:int(len(data) * share)])
+        path.write_bytes(data[: int(len(data) * share)])
         line = refused(lambda: read_image(path), path.name)
         assert "b'" not in line
 

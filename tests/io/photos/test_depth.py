@@ -33,9 +33,16 @@ def write(path, values):
 MILLIMETRES, FLOATS = (METRES * 1000).round().astype(np.uint16), METRES.astype(np.float32)
 
 
-@pytest.mark.parametrize("name, values", [
-    ("photo_1.png.png", MILLIMETRES), ("photo_1.tif", MILLIMETRES), ("photo_1.exr", FLOATS),
-    ("photo_1.npy", METRES), ("photo_1.npy", MILLIMETRES)])
+@pytest.mark.parametrize(
+    "name, values",
+    [
+        ("photo_1.png.png", MILLIMETRES),
+        ("photo_1.tif", MILLIMETRES),
+        ("photo_1.exr", FLOATS),
+        ("photo_1.npy", METRES),
+        ("photo_1.npy", MILLIMETRES),
+    ],
+)
 def test_formats(folder, name, values):
     path = folder / "laser" / name
     np.save(path, values) if path.suffix == ".npy" else write(path, values)
@@ -82,14 +89,16 @@ def test_a_plane_in_the_faces_of_a_wide_lens(tmp_path):
     assert shares["a.front.png"] == 1 and 0.2 < shares["a.left.png"] < 0.6, shares
 
 
-@pytest.mark.parametrize("spoil, words", [
-    (lambda f: None, "--depth laser: .*has no depth map for any photo.*photo_0.png.png"),
-    (lambda f: write_image(f / "photo_1.png", np.zeros((HEIGHT, WIDTH, 3))), "samples of uint8"),
-    (lambda f: np.save(f / "photo_1.npy", METRES[:20]), "48x20 pixels and its photo 48x36"),
-    (lambda f: np.save(f / "photo_1.npy", METRES[None]), "float64[1, 36, 48], not numbers"),
-    (lambda f: (f / "photo_1.npy").write_bytes(b""), "photo_1.npy: not a NumPy array"),
-])
+@pytest.mark.parametrize(
+    "spoil, words",
+    [
+        (lambda f: None, "--depth laser: .*has no depth map for any photo.*photo_0.png.png"),
+        (lambda f: write_image(f / "photo_1.png", np.zeros((HEIGHT, WIDTH, 3))), "samples of uint8"),
+        (lambda f: np.save(f / "photo_1.npy", METRES[:20]), "48x20 pixels and its photo 48x36"),
+        (lambda f: np.save(f / "photo_1.npy", METRES[None]), "float64[1, 36, 48], not numbers"),
+        (lambda f: (f / "photo_1.npy").write_bytes(b""), "photo_1.npy: not a NumPy array"),
+    ],
+)
 def test_maps_that_do_not_fit(folder, spoil, words):
     spoil(folder / "laser")
-    refused(lambda: read_depth(with_depths(read_scene(folder), "laser").views[1]),
-            *words.split(".*"))
+    refused(lambda: read_depth(with_depths(read_scene(folder), "laser").views[1]), *words.split(".*"))

@@ -49,11 +49,19 @@ def area_mean(pixels, size):
     height, width = pixels.shape[:2]
     out = np.zeros((size[1], size[0], 3))
     for axis_y in range(size[1]):
-        y = np.clip(np.minimum((axis_y + 1) * height / size[1], np.arange(height) + 1)
-                    - np.maximum(axis_y * height / size[1], np.arange(height)), 0, None)
+        y = np.clip(
+            np.minimum((axis_y + 1) * height / size[1], np.arange(height) + 1)
+            - np.maximum(axis_y * height / size[1], np.arange(height)),
+            0,
+            None,
+        )
         for axis_x in range(size[0]):
-            x = np.clip(np.minimum((axis_x + 1) * width / size[0], np.arange(width) + 1)
-                        - np.maximum(axis_x * width / size[0], np.arange(width)), 0, None)
+            x = np.clip(
+                np.minimum((axis_x + 1) * width / size[0], np.arange(width) + 1)
+                - np.maximum(axis_x * width / size[0], np.arange(width)),
+                0,
+                None,
+            )
             out[axis_y, axis_x] = np.einsum("y,x,yxc->c", y, x, pixels) / (y.sum() * x.sum())
     return out
 
@@ -73,7 +81,7 @@ def test_truncated_is_refused(tmp_path, suffix, share):
     path = tmp_path / f"photo.{suffix}"
     images.write_image(path, np.random.default_rng(2).integers(0, 256, (64, 48, 3), dtype=np.uint8))
     data = path.read_bytes()
-    path.write_bytes(data[:int(len(data) * share)])
+    path.write_bytes(data[: int(len(data) * share)])
     refused(lambda: images.read_image(path), f"photo.{suffix}")
 
 
@@ -91,8 +99,7 @@ def test_arrays_are_photos():
     with opened(grey) as photo:
         assert photo.is_deep and (photo.width, photo.height) == (4, 3) and not photo.has_alpha
     assert np.array_equal(images.read_image(grey)[..., 1], np.rint(grey / 257))
-    assert np.array_equal(images.read_image(grey, levels=(0, 55000))[..., 2],
-                          np.rint(grey / 55000 * 255))
+    assert np.array_equal(images.read_image(grey, levels=(0, 55000))[..., 2], np.rint(grey / 55000 * 255))
     with_alpha = np.random.default_rng(0).random((3, 4, 4), np.float32) * 2 - 0.5
     with_alpha[0, 0, 0] = np.nan
     assert np.array_equal(images.read_image(with_alpha), images.eight_bits(with_alpha[..., :3]))

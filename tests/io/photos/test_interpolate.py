@@ -1,5 +1,4 @@
-"""Interpolation: what the kernel reproduces, borders, missing places, and independence of patches.
-"""
+"""Interpolation: what the kernel reproduces, borders, missing places, and independence of patches."""
 
 import numpy as np
 import pytest
@@ -11,8 +10,7 @@ from clsplat.io.photos.resample import patches
 def interpolated(image, places, round_trip=False):
     """[H, W] of an image [h, w]; 0 without a place."""
     result = np.zeros(places.shape[1:])
-    for part, shown, source, weights in patches(places.astype(np.float32), image.shape[::-1],
-                                                round_trip):
+    for part, shown, source, weights in patches(places.astype(np.float32), image.shape[::-1], round_trip):
         result[part][shown] = weights @ image[source].ravel()
     return result
 

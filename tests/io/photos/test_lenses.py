@@ -15,12 +15,22 @@ from clsplat.scene import View
 SIZE = 160, 120
 # parameters after focal length and centre
 DISTORTION = {
-    "SIMPLE_RADIAL": (-0.1,), "RADIAL": (0.1, -0.02), "OPENCV": (-0.05, 0.02, 0.002, -0.003),
-    "OPENCV_FISHEYE": (0.02, -0.01, 0, 0), "FULL_OPENCV": (-0.1, 0.02, 0.001, 0, 0.01, 0, 0, 0),
-    "FOV": (0.8,), "SIMPLE_RADIAL_FISHEYE": (0.02,), "RADIAL_FISHEYE": (0.02, -0.01),
+    "SIMPLE_RADIAL": (-0.1,),
+    "RADIAL": (0.1, -0.02),
+    "OPENCV": (-0.05, 0.02, 0.002, -0.003),
+    "OPENCV_FISHEYE": (0.02, -0.01, 0, 0),
+    "FULL_OPENCV": (-0.1, 0.02, 0.001, 0, 0.01, 0, 0, 0),
+    "FOV": (0.8,),
+    "SIMPLE_RADIAL_FISHEYE": (0.02,),
+    "RADIAL_FISHEYE": (0.02, -0.01),
     "THIN_PRISM_FISHEYE": (0.02, 0, 0.001, 0.001, 0, 0, 0.001, 0.001),
-    "RAD_TAN_THIN_PRISM_FISHEYE": (0.02, *[0.001] * 11), "SIMPLE_DIVISION": (-0.1,),
-    "DIVISION": (-0.1,), "SIMPLE_FISHEYE": (), "FISHEYE": (), "EUCM": (0.6, 1.1)}
+    "RAD_TAN_THIN_PRISM_FISHEYE": (0.02, *[0.001] * 11),
+    "SIMPLE_DIVISION": (-0.1,),
+    "DIVISION": (-0.1,),
+    "SIMPLE_FISHEYE": (),
+    "FISHEYE": (),
+    "EUCM": (0.6, 1.1),
+}
 PANORAMA = "EQUIRECTANGULAR"
 
 
@@ -41,9 +51,14 @@ def colours(rays):
 def arrays_of(names, size=SIZE):
     """A model of photos at the origin, without focal lengths."""
     count = len(names)
-    return {"names": np.array(names), "rotations": np.tile(np.eye(3), (count, 1, 1)),
-            "translations": np.zeros((count, 3)), "focals": np.zeros((count, 2)),
-            "centres": np.zeros((count, 2)), "sizes": np.tile(size, (count, 1))}
+    return {
+        "names": np.array(names),
+        "rotations": np.tile(np.eye(3), (count, 1, 1)),
+        "translations": np.zeros((count, 3)),
+        "focals": np.zeros((count, 2)),
+        "centres": np.zeros((count, 2)),
+        "sizes": np.tile(size, (count, 1)),
+    }
 
 
 def photo_of(path, model, values, size=SIZE):
@@ -57,11 +72,12 @@ def photo_of(path, model, values, size=SIZE):
 
 def views_of(arrays, source):
     """The views of undistorted arrays whose photos all have one source."""
-    return [View(str(name), Camera(*map(int, size), tuple(focal), tuple(centre), turn, move),
-                 source, lens)
-            for name, size, focal, centre, turn, move, lens in zip(
-                *(arrays[key] for key in ("names", "sizes", "focals", "centres", "rotations",
-                                          "translations", "lenses")))]
+    return [
+        View(str(name), Camera(*map(int, size), tuple(focal), tuple(centre), turn, move), source, lens)
+        for name, size, focal, centre, turn, move, lens in zip(
+            *(arrays[key] for key in ("names", "sizes", "focals", "centres", "rotations", "translations", "lenses"))
+        )
+    ]
 
 
 def check_colours(view, share=1.0):
@@ -71,8 +87,9 @@ def check_colours(view, share=1.0):
     camera = view.camera
     assert found.shape == (camera.height, camera.width, 3)
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    rays = np.stack([(x - camera.centre[0]) / camera.focal[0],
-                     (y - camera.centre[1]) / camera.focal[1], np.ones_like(x)], axis=-1)
+    rays = np.stack(
+        [(x - camera.centre[0]) / camera.focal[0], (y - camera.centre[1]) / camera.focal[1], np.ones_like(x)], axis=-1
+    )
     wrong = np.abs(found / 255 - colours(rays @ camera.rotation)).max(axis=2)
     shown = np.ones(wrong.shape, bool) if valid is None else valid
     assert np.quantile(wrong[shown], share) < 0.02, (view.name, wrong[shown].max())
@@ -84,7 +101,7 @@ def test_an_undistorted_photo_shows_what_its_camera_sees(model, tmp_path):
     values = parameters(model)
     source = photo_of(tmp_path / "a.png", model, values)
     arrays = undistorted_model("model", arrays_of(["a.png"]), [(model, values)])
-    view, = views_of(arrays, source)
+    (view,) = views_of(arrays, source)
     assert check_colours(view) == 1  # nothing is masked
     assert view.camera.focal == pytest.approx((130, 130), rel=0.1)
     assert 0.8 * SIZE[0] < view.camera.width < 1.3 * SIZE[0]
@@ -97,8 +114,7 @@ def test_models_are_all_those_of_colmap():
 @pytest.mark.parametrize("model", [PANORAMA, "OPENCV_FISHEYE", "EUCM"])
 def test_wide_photos_become_the_faces_of_a_cube(model, tmp_path):
     size = (160, 80) if model == PANORAMA else (160, 150)
-    values = tuple(map(float, size)) if model == PANORAMA else (
-        45.0, 45.0, 80.0, 75.0, *DISTORTION[model])
+    values = tuple(map(float, size)) if model == PANORAMA else (45.0, 45.0, 80.0, 75.0, *DISTORTION[model])
     source = photo_of(tmp_path / "a.png", model, values, size)
     arrays = undistorted_model("model", arrays_of(["far/a.png"], size), [(model, values)])
     views = views_of(arrays, source)
@@ -114,13 +130,22 @@ def test_wide_photos_become_the_faces_of_a_cube(model, tmp_path):
 
 def test_observations_are_those_of_the_faces_that_show_them():
     points = np.array([(0, 0, 5.0), (5, 0.1, 0.2), (0, 0, -5), (0.1, -5, 0), (1, 1, 5)])
-    arrays = {**arrays_of(["a.png", "b.png"], (160, 80)), "points": points,
-              "observations": np.array([(0, 0), (1, 0), (2, 0), (3, 0), (4, 1), (0, 1)])}
+    arrays = {
+        **arrays_of(["a.png", "b.png"], (160, 80)),
+        "points": points,
+        "observations": np.array([(0, 0), (1, 0), (2, 0), (3, 0), (4, 1), (0, 1)]),
+    }
     arrays["focals"][1], arrays["centres"][1] = 100, (80, 40)
     made = undistorted_model("model", arrays, [(PANORAMA, (160.0, 80.0)), None])
     seen = {(int(point), str(made["names"][view])) for point, view in made["observations"]}
-    assert seen == {(0, "a.front.png"), (1, "a.right.png"), (2, "a.back.png"), (3, "a.up.png"),
-                    (4, "b.png"), (0, "b.png")}
+    assert seen == {
+        (0, "a.front.png"),
+        (1, "a.right.png"),
+        (2, "a.back.png"),
+        (3, "a.up.png"),
+        (4, "b.png"),
+        (0, "b.png"),
+    }
     assert made["lenses"][-1] is None and tuple(made["focals"][-1]) == (100, 100)
 
 
@@ -129,7 +154,7 @@ def test_a_strong_pincushion_lens_keeps_its_corners_and_masks_the_rest(tmp_path)
     values = (90.0, 80.0, 60.0, 0.35)
     source = photo_of(tmp_path / "a.png", "SIMPLE_RADIAL", values)
     arrays = undistorted_model("model", arrays_of(["a.png"]), [("SIMPLE_RADIAL", values)])
-    view, = views_of(arrays, source)
+    (view,) = views_of(arrays, source)
     assert 0.7 < check_colours(view) < 1
 
 

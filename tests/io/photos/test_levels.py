@@ -21,8 +21,7 @@ LOW, HIGH = 29000, 29800
 
 def ramp(number, low=LOW, high=HIGH):
     """Samples of a photo, whose own range is a part of that of the set."""
-    part = np.linspace(low + number * (high - low) / 8, high - (3 - number) * (high - low) / 8,
-                       HEIGHT * WIDTH)
+    part = np.linspace(low + number * (high - low) / 8, high - (3 - number) * (high - low) / 8, HEIGHT * WIDTH)
     return part.round().astype(np.uint16).reshape(HEIGHT, WIDTH)
 
 
@@ -44,8 +43,9 @@ def test_case():
     photos, _ = find_photos(CASES / "photos_thermal_16bit")
     levels, notes = common_levels([photo.path for photo in photos], 6 * [True])
     assert set(levels) == {(29097.0, 29705.0)}
-    assert notes == ["6 of 6 photos are grey with 16 bits, of which they use 29097 to 29705: all "
-                     "are stretched alike to 8 bits"]
+    assert notes == [
+        "6 of 6 photos are grey with 16 bits, of which they use 29097 to 29705: all are stretched alike to 8 bits"
+    ]
 
 
 def test_a_scene_is_stretched_as_a_whole(folder):
@@ -67,9 +67,15 @@ def test_a_scene_that_is_written_keeps_the_levels(folder, tmp_path):
         assert view.levels is None and np.array_equal(read_photo(view), read_photo(other))
 
 
-@pytest.mark.parametrize("samples", [
-    ramp(0, 0, 32000), np.full((HEIGHT, WIDTH), 29000, np.uint16), ramp(0).astype(np.uint8),
-    np.repeat(ramp(0)[..., None], 3, 2)])
+@pytest.mark.parametrize(
+    "samples",
+    [
+        ramp(0, 0, 32000),
+        np.full((HEIGHT, WIDTH), 29000, np.uint16),
+        ramp(0).astype(np.uint8),
+        np.repeat(ramp(0)[..., None], 3, 2),
+    ],
+)
 def test_other_photos_are_read_as_they_were(tmp_path, samples):
     tifffile.imwrite(tmp_path / "a.tif", samples)
     assert levels_of([tmp_path / "a.tif"]) == [None]

@@ -27,7 +27,7 @@ def put_mask(folder, name, valid):
 
 def half(width=WIDTH, height=HEIGHT):
     valid = np.ones((height, width), bool)
-    valid[:, :width // 2] = False
+    valid[:, : width // 2] = False
     return valid
 
 
@@ -56,20 +56,26 @@ def test_transparent_pixels_do_not_count(folder):
     pixels = np.full((HEIGHT, WIDTH, 4), 90, np.uint8)
     pixels[..., 3] = np.where(half(), 200, 40)
     Image.fromarray(pixels).save(folder / "images/photo_2.png")
-    put_mask(folder, "photo_2.png", half().T[:1, :1].repeat(HEIGHT, 0).repeat(WIDTH, 1) | (
-        np.arange(HEIGHT) > 5)[:, None])
+    put_mask(
+        folder, "photo_2.png", half().T[:1, :1].repeat(HEIGHT, 0).repeat(WIDTH, 1) | (np.arange(HEIGHT) > 5)[:, None]
+    )
     scene = read_scene(folder)
     assert any("1 of 4 photos have an alpha channel" in note for note in scene.notes)
     assert np.array_equal(read_valid(scene.views[2]), half() & (np.arange(HEIGHT) > 5)[:, None])
 
 
-@pytest.mark.parametrize("spoil, words", [
-    (lambda f: put_mask(f, "other.png", half()), "has no mask for any photo; name them after"),
-    (lambda f: put_mask(f, "photo_1.png", half(30, 30)), "30x30 pixels and its photo 48x36"),
-    (lambda f: write_image(f / "masks/photo_1.png", np.repeat(half()[..., None], 3, 2).astype(
-        np.uint8)), "photo_1.png: its pixels are 0 and 1 of 255, which are both dark; write 255"),
-    (lambda f: (f / "masks/photo_1.png").write_bytes(b"no"), "photo_1.png: not an image"),
-])
+@pytest.mark.parametrize(
+    "spoil, words",
+    [
+        (lambda f: put_mask(f, "other.png", half()), "has no mask for any photo; name them after"),
+        (lambda f: put_mask(f, "photo_1.png", half(30, 30)), "30x30 pixels and its photo 48x36"),
+        (
+            lambda f: write_image(f / "masks/photo_1.png", np.repeat(half()[..., None], 3, 2).astype(np.uint8)),
+            "photo_1.png: its pixels are 0 and 1 of 255, which are both dark; write 255",
+        ),
+        (lambda f: (f / "masks/photo_1.png").write_bytes(b"no"), "photo_1.png: not an image"),
+    ],
+)
 def test_masks_that_do_not_fit(folder, spoil, words):
     (folder / "masks").mkdir()
     spoil(folder)
@@ -79,9 +85,15 @@ def test_masks_that_do_not_fit(folder, spoil, words):
 
 DARK_LEFT = np.tile(np.where(np.arange(48) < 24, 0, 255).astype(np.uint8), (36, 1))
 # names of the mask of photo_1.png, from the scene's folder
-NAMES = ("masks/photo_1.png", "masks/photo_1.png.png", "mask/photo_1.bmp",
-         "images/photo_1_MASK.tif", "images/photo_1.png.mask.png", "images/.mask/photo_1.png",
-         "images/mask/photo_1.png.png")
+NAMES = (
+    "masks/photo_1.png",
+    "masks/photo_1.png.png",
+    "mask/photo_1.bmp",
+    "images/photo_1_MASK.tif",
+    "images/photo_1.png.mask.png",
+    "images/.mask/photo_1.png",
+    "images/mask/photo_1.png.png",
+)
 
 
 def put(path):
@@ -96,7 +108,7 @@ def test_a_scene_and_a_reconstruction_use_the_mask(folder, name):
     assert [view.mask is not None for view in scene.views] == [False, True, False, False]
     valid = read_valid(scene.views[1])
     assert not valid[:, :23].any() and valid[:, 25:].all()
-    note, = (note for note in scene.notes if "have a mask" in note)
+    (note,) = (note for note in scene.notes if "have a mask" in note)
     assert note.startswith("1 of 4 photos have a mask in ")
     shutil.rmtree(folder / "sparse")
     photos, refused = find_photos(folder)

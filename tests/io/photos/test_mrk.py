@@ -5,8 +5,10 @@ import pytest
 from clsplat.io.photos.metadata import PhotoMetadata
 from clsplat.io.photos.mrk import with_mrk
 
-LINE = ("{}\t505369.17\t[2364]\t  -339,N\t  -361,E\t   348,V\t{:.8f},Lat\t-115.38278248,Lon\t"
-        "1368.634,Ellh\t0.012, 0.010, 0.020\t{},Q\n")
+LINE = (
+    "{}\t505369.17\t[2364]\t  -339,N\t  -361,E\t   348,V\t{:.8f},Lat\t-115.38278248,Lon\t"
+    "1368.634,Ellh\t0.012, 0.010, 0.020\t{},Q\n"
+)
 AT = PhotoMetadata(64, 48, latitude=51.1, longitude=-115.38278, altitude=12.0, camera="DJI")
 
 
@@ -16,10 +18,13 @@ def positions(folder, names, known=AT):
 
 def test_a_line_replaces_the_position_of_its_photo(tmp_path):
     (tmp_path / "100_0034_Timestamp.MRK").write_text(
-        LINE.format(3, 51.10001, 50) + "damaged, 1,Lat\n" + LINE.format(4, 51.10002, 16)
-        + LINE.format(5, 51.1, 0) + LINE.format(6, 51.2, 50))
-    names = ["100_0034_0003.JPG", "DJI_20250502142325_0004_V.JPG", "DJI_0005.JPG", "DJI_0006.JPG",
-             "IMG_3.jpg"]
+        LINE.format(3, 51.10001, 50)
+        + "damaged, 1,Lat\n"
+        + LINE.format(4, 51.10002, 16)
+        + LINE.format(5, 51.1, 0)
+        + LINE.format(6, 51.2, 50)
+    )
+    names = ["100_0034_0003.JPG", "DJI_20250502142325_0004_V.JPG", "DJI_0005.JPG", "DJI_0006.JPG", "IMG_3.jpg"]
     (fixed, single, *others), notes = positions(tmp_path, names)
     assert (fixed.latitude, fixed.longitude, fixed.altitude) == (51.10001, -115.38278248, 1368.634)
     assert fixed.gps_std == (0.010, 0.012, 0.020) and fixed.above_ellipsoid

@@ -75,11 +75,9 @@ def test_missing_files_are_made_again_if_they_may(folder, tmp_path, monkeypatch)
 def test_masks_and_depth_maps_go_with_their_photos(folder, tmp_path):
     """A mask and a depth map that tell the column, as the photo does."""
     columns = np.tile(np.arange(WIDTH), (HEIGHT, 1))
-    write_image(folder / "images/photo_0.png", np.repeat(columns[..., None] * 5, 3, 2).astype(
-        np.uint8))
+    write_image(folder / "images/photo_0.png", np.repeat(columns[..., None] * 5, 3, 2).astype(np.uint8))
     (folder / "masks").mkdir()
-    write_image(folder / "masks/photo_0.png", np.repeat(columns[..., None] >= 20, 3, 2) * np.uint8(
-        255))
+    write_image(folder / "masks/photo_0.png", np.repeat(columns[..., None] >= 20, 3, 2) * np.uint8(255))
     (folder / "depth").mkdir()
     np.save(folder / "depth/photo_0.npy", columns + 1.0)
     scene = with_depths(read_scene(folder), "depth")

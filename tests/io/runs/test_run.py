@@ -18,9 +18,12 @@ from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import RunFolder
 from tests.refusals import refused
 
-ARRAYS = {"positions": np.arange(12, dtype=np.float32).reshape(4, 3),
-          "adam/first": np.full((4, 3), np.pi), "count": np.array(7, np.uint32),
-          "empty": np.zeros((0, 15, 3), np.float32)}
+ARRAYS = {
+    "positions": np.arange(12, dtype=np.float32).reshape(4, 3),
+    "adam/first": np.full((4, 3), np.pi),
+    "count": np.array(7, np.uint32),
+    "empty": np.zeros((0, 15, 3), np.float32),
+}
 STATE = {"iteration": 500, "random": {"state": 2**127 + 1}, "best": 0.1, "level": None}
 
 
@@ -59,15 +62,27 @@ def test_create_open_overwrite(run):
 
 def test_options(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    run.write_options({"scene": "town", "options": {"seed": np.int64(3), "init": Path("a.ply")},
-                       "fingerprint": "f00", "device": "cpu"})
+    run.write_options(
+        {
+            "scene": "town",
+            "options": {"seed": np.int64(3), "init": Path("a.ply")},
+            "fingerprint": "f00",
+            "device": "cpu",
+        }
+    )
     record = RunFolder.open(run.path).read_options()
     assert record.pop("date") and record.pop("command", None) is None
     assert record.pop("commit") is None or len(record) == 8
-    assert record == {"scene": "../../town", "scene_absolute": str(tmp_path / "town"),
-                      "options": {"seed": 3, "init": "a.ply"}, "fingerprint": "f00",
-                      "device": "cpu", "version": clsplat.__version__, "format": 1,
-                      "average": 0.0}  # as in versions without it
+    assert record == {
+        "scene": "../../town",
+        "scene_absolute": str(tmp_path / "town"),
+        "options": {"seed": 3, "init": "a.ply"},
+        "fingerprint": "f00",
+        "device": "cpu",
+        "version": clsplat.__version__,
+        "format": 1,
+        "average": 0.0,
+    }  # as in versions without it
     for text in ("{", "[]", ""):
         (run.path / "options.json").write_text(text)
         refused(run.read_options, "options.json")
@@ -76,8 +91,7 @@ def test_options(run, tmp_path, monkeypatch):
 def test_metrics(run):
     run.log({"event": "start"})
     for iteration in range(1, 6):
-        run.log({"iteration": iteration, "loss": np.float32(0.5), "bad": float("nan"),
-                 "sizes": np.arange(2)})
+        run.log({"iteration": iteration, "loss": np.float32(0.5), "bad": float("nan"), "sizes": np.arange(2)})
         assert len(RunFolder(run.path).records()) == iteration + 1  # flushed
     assert run.records()[1] == {"iteration": 1, "loss": 0.5, "bad": None, "sizes": [0, 1]}
     run.rewind(3)
@@ -86,8 +100,9 @@ def test_metrics(run):
     assert [r.get("iteration") for r in run.records()] == [None, 1, 2, 3, 4]
 
 
-@pytest.mark.parametrize("resume", [lambda run: run.log({"iteration": 3}),
-                                    lambda run: (run.rewind(2), run.log({"iteration": 3}))])
+@pytest.mark.parametrize(
+    "resume", [lambda run: run.log({"iteration": 3}), lambda run: (run.rewind(2), run.log({"iteration": 3}))]
+)
 def test_a_metrics_line_cut_by_a_kill(run, resume):
     for iteration in (1, 2):
         run.log({"iteration": iteration})
@@ -120,8 +135,7 @@ def metrics_of_format(run, number):
     (run.path / "metrics.jsonl").unlink(missing_ok=True)
     run.log({"event": "plan"})
     run.log({"event": "step"})
-    first, second = (json.loads(line) for line in (run.path / "metrics.jsonl").open(
-        encoding="utf-8"))
+    first, second = (json.loads(line) for line in (run.path / "metrics.jsonl").open(encoding="utf-8"))
     assert first.pop("format") == 1 and "format" not in second
     (run.path / "metrics.jsonl").write_text(json.dumps(first | number) + "\n", "utf-8")
     assert [record["event"] for record in run.records()] == ["plan"]
@@ -150,15 +164,20 @@ def block_of_format(run, number):
     assert BlockFolder(run.path).read()["number"] == 0
 
 
-@pytest.mark.parametrize("name, write", [
-    ("options.json", options_of_format), ("metrics.jsonl", metrics_of_format),
-    ("checkpoint.npz", checkpoint_of_format), ("city.json", city_of_format),
-    ("block.json", block_of_format)])
+@pytest.mark.parametrize(
+    "name, write",
+    [
+        ("options.json", options_of_format),
+        ("metrics.jsonl", metrics_of_format),
+        ("checkpoint.npz", checkpoint_of_format),
+        ("city.json", city_of_format),
+        ("block.json", block_of_format),
+    ],
+)
 def test_a_file_of_a_newer_clsplat_is_refused_and_one_without_a_number_is_read(run, name, write):
     for number in ({}, {"format": 0}, {"format": 1}):
         write(run, number)
-    message = refused(lambda: write(run, {"format": 2}), name, "format 2",
-                      "install the newer clsplat")
+    message = refused(lambda: write(run, {"format": 2}), name, "format 2", "install the newer clsplat")
     assert "damaged" not in message
 
 

@@ -55,11 +55,14 @@ def tiny(folder):
     return folder
 
 
-@pytest.mark.parametrize("spoil, words", [
-    (lambda f: shutil.rmtree(f / "val"), "val: missing beside train/.*give .*train"),
-    (lambda f: shutil.rmtree(f / "val/sparse"), "val: no COLMAP model"),
-    (lambda f: (f / "val/images/val_2.png").unlink(), "val/images/val_2.png: no such image"),
-])
+@pytest.mark.parametrize(
+    "spoil, words",
+    [
+        (lambda f: shutil.rmtree(f / "val"), "val: missing beside train/.*give .*train"),
+        (lambda f: shutil.rmtree(f / "val/sparse"), "val: no COLMAP model"),
+        (lambda f: (f / "val/images/val_2.png").unlink(), "val/images/val_2.png: no such image"),
+    ],
+)
 def test_unusable_scenes(tmp_path, spoil, words):
     folder = tiny(tmp_path / "town")
     assert len(read_scene(folder).views) == 8

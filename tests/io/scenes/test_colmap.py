@@ -47,8 +47,12 @@ def tracks(made):
     """{(point, view)} of a reconstruction: points by number, views by name."""
     names = sorted(image.name for image in made.images.values())
     points = {number: place for place, number in enumerate(sorted(made.points3D))}
-    return {(points[seen.point3D_id], names.index(image.name)) for image in made.images.values()
-            for seen in image.points2D if seen.has_point3D()}
+    return {
+        (points[seen.point3D_id], names.index(image.name))
+        for image in made.images.values()
+        for seen in image.points2D
+        if seen.has_point3D()
+    }
 
 
 @pytest.mark.parametrize("text", [False, True])
@@ -75,8 +79,10 @@ def test_observations_are_the_tracks(tmp_path, text):
 @pytest.mark.parametrize("at_once", [1, 3, 1 << 16])
 def test_points_of_any_order_are_written_with_their_tracks(tmp_path, monkeypatch, at_once):
     rng = np.random.default_rng(0)
-    views = [View(f"{number}.jpg", Camera(9, 9, (9.0, 9.0), (4.5, 4.5), np.eye(3), np.zeros(3)),
-                  tmp_path) for number in range(4)]
+    views = [
+        View(f"{number}.jpg", Camera(9, 9, (9.0, 9.0), (4.5, 4.5), np.eye(3), np.zeros(3)), tmp_path)
+        for number in range(4)
+    ]
     seen = rng.permutation(np.argwhere(rng.random((7, 4)) < 0.4))
     assert len(np.unique(seen[:, 0])) < 7  # some are not seen
     points, colours = rng.normal(size=(7, 3)), rng.integers(0, 256, (7, 3)).astype(np.uint8)
@@ -103,7 +109,7 @@ def test_fingerprint_tells_scenes_apart(tmp_path):
 def test_a_truncated_file_is_named(tmp_path, part, share):
     path = write_scene(tmp_path) / "sparse" / "0" / f"{part}.bin"
     data = path.read_bytes()
-    path.write_bytes(data[:min(int(share * len(data)), len(data) - 1)])
+    path.write_bytes(data[: min(int(share * len(data)), len(data) - 1)])
     refused(tmp_path, f"{part}.bin", "cut short")
 
 
@@ -124,16 +130,21 @@ def put(path, offset, layout, *values):
     path.write_bytes(data)
 
 
-@pytest.mark.parametrize("part, offset, layout, values, words", [
-    ("cameras", 0, "<Q", [2**60], ["cut short"]),
-    ("cameras", 12, "<i", [99], ["camera 1", "model", "(99)"]),
-    ("cameras", 16, "<Q", [0], ["no size"]), ("cameras", 16, "<Q", [2**63], ["2147483648x36"]),
-    ("images", 8 + 60, "<I", [77], ["has camera 77", "not in the model"]),
-    ("images", 8 + 64, "<B", [255], ["utf-8"]),
-    ("images", 8 + 4, "<4d", [0, 0, 0, 0], ["pose", "not finite"]),
-    ("images", 8 + 36, "<d", [np.nan], ["the pose of image photo_", "1 of 4 images"]),
-    ("images", 8 + 64 + 12, "<Q", [2**62], ["cut short"]),
-    ("points3D", 8 + 43, "<Q", [2**64 - 1], ["cut short"])])
+@pytest.mark.parametrize(
+    "part, offset, layout, values, words",
+    [
+        ("cameras", 0, "<Q", [2**60], ["cut short"]),
+        ("cameras", 12, "<i", [99], ["camera 1", "model", "(99)"]),
+        ("cameras", 16, "<Q", [0], ["no size"]),
+        ("cameras", 16, "<Q", [2**63], ["2147483648x36"]),
+        ("images", 8 + 60, "<I", [77], ["has camera 77", "not in the model"]),
+        ("images", 8 + 64, "<B", [255], ["utf-8"]),
+        ("images", 8 + 4, "<4d", [0, 0, 0, 0], ["pose", "not finite"]),
+        ("images", 8 + 36, "<d", [np.nan], ["the pose of image photo_", "1 of 4 images"]),
+        ("images", 8 + 64 + 12, "<Q", [2**62], ["cut short"]),
+        ("points3D", 8 + 43, "<Q", [2**64 - 1], ["cut short"]),
+    ],
+)
 def test_a_damaged_record_is_named(tmp_path, part, offset, layout, values, words):
     path = write_scene(tmp_path) / "sparse" / "0" / f"{part}.bin"
     put(path, offset, layout, *values)
@@ -143,24 +154,29 @@ def test_a_damaged_record_is_named(tmp_path, part, offset, layout, values, words
 def test_duplicate_ids(tmp_path):
     folder = write_scene(tmp_path / "town") / "sparse" / "0"
     whole = {part: (folder / f"{part}.bin").read_bytes() for part in ("images", "points3D")}
-    first, = struct.unpack_from("<I", whole["images"], 8)
+    (first,) = struct.unpack_from("<I", whole["images"], 8)
     second = whole["images"].index(b"\0", 72) + 1
     second += 8 + 24 * struct.unpack_from("<Q", whole["images"], second)[0]
     put(folder / "images.bin", second, "<I", first)
     refused(tmp_path / "town", f"images holds id {first} twice")
     (folder / "images.bin").write_bytes(whole["images"])
-    first, = struct.unpack_from("<Q", whole["points3D"], 8)
+    (first,) = struct.unpack_from("<Q", whole["points3D"], 8)
     put(folder / "points3D.bin", 8 + 51 + 8 * 4, "<Q", first)
     refused(tmp_path / "town", f"points3D holds id {first} twice")
 
 
-@pytest.mark.parametrize("part, old, new, words", [
-    ("cameras", b" PINHOLE ", b" PINHOL ", ["'PINHOL'", "not a camera model"]),
-    ("cameras", b" 48 36 ", b" 48 ", ["not a camera model"]),
-    ("cameras", b" 48 36 ", b" 48 x ", ["line", "'x'"]),
-    ("images", b" photo_0.png", b"", ["an image has 9 fields"]),
-    ("points3D", b" 254 ", b" 256 ", ["range(0, 256)"]),
-    ("points3D", b" ", b" nan ", ["line"]), ("points3D", b"0", b"\0", ["not a text file"])])
+@pytest.mark.parametrize(
+    "part, old, new, words",
+    [
+        ("cameras", b" PINHOLE ", b" PINHOL ", ["'PINHOL'", "not a camera model"]),
+        ("cameras", b" 48 36 ", b" 48 ", ["not a camera model"]),
+        ("cameras", b" 48 36 ", b" 48 x ", ["line", "'x'"]),
+        ("images", b" photo_0.png", b"", ["an image has 9 fields"]),
+        ("points3D", b" 254 ", b" 256 ", ["range(0, 256)"]),
+        ("points3D", b" ", b" nan ", ["line"]),
+        ("points3D", b"0", b"\0", ["not a text file"]),
+    ],
+)
 def test_a_damaged_line_is_named(tmp_path, part, old, new, words):
     path = write_scene(tmp_path, text=True) / "sparse" / "0" / f"{part}.txt"
     lines = path.read_bytes().splitlines(keepends=True)
@@ -216,15 +232,19 @@ def test_no_model(tmp_path):
 TWO_LINES = "each image has two lines, of which the second may be empty"
 
 
-@pytest.mark.parametrize("change, expected", [
-    (lambda lines: [line if number % 2 == 0 else "" for number, line in enumerate(lines)], ""),
-    (lambda lines: lines[::2], TWO_LINES), (lambda lines: lines[:1] + lines[2:], TWO_LINES),
-    (lambda lines: ["\ufeff" + lines[0], *lines[1:]], ""),
-    (lambda lines: [line.replace(" ", "\t") + "  \r" for line in lines], ""),
-    (lambda lines: [*lines, "", "", ""], ""),
-    (lambda lines: [lines[0].replace(" ", " x", 1), *lines[1:]], "line 1")],
-    ids=["no observations", "no lines of them", "a line lost", "byte order mark", "blanks",
-         "empty lines", "a word"])
+@pytest.mark.parametrize(
+    "change, expected",
+    [
+        (lambda lines: [line if number % 2 == 0 else "" for number, line in enumerate(lines)], ""),
+        (lambda lines: lines[::2], TWO_LINES),
+        (lambda lines: lines[:1] + lines[2:], TWO_LINES),
+        (lambda lines: ["\ufeff" + lines[0], *lines[1:]], ""),
+        (lambda lines: [line.replace(" ", "\t") + "  \r" for line in lines], ""),
+        (lambda lines: [*lines, "", "", ""], ""),
+        (lambda lines: [lines[0].replace(" ", " x", 1), *lines[1:]], "line 1"),
+    ],
+    ids=["no observations", "no lines of them", "a line lost", "byte order mark", "blanks", "empty lines", "a word"],
+)
 def test_text_of_other_programs_is_read_or_refused_with_the_cure(tmp_path, change, expected):
     folder = write_scene(tmp_path / "town", text=True)
     whole = read_scene(folder)

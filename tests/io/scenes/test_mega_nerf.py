@@ -31,9 +31,13 @@ def name(old):
 
 def described(folder, stub):
     (stub / "torch.py").write_text(STUB)
-    return subprocess.run([sys.executable, ROOT / "docs/examples/from_mega_nerf.py", folder],
-                          check=True, capture_output=True, text=True,
-                          env={**os.environ, "PYTHONPATH": str(stub)}).stdout
+    return subprocess.run(
+        [sys.executable, ROOT / "docs/examples/from_mega_nerf.py", folder],
+        check=True,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(stub)},
+    ).stdout
 
 
 def test_cameras_and_held_out_views(tmp_path, city):

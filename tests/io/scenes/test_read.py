@@ -20,6 +20,7 @@ def read(file, images):
 @pytest.fixture
 def register(tmp_path, monkeypatch):
     """A function that registers a module of this text."""
+
     def install(text, entry="town = town_reader"):
         (tmp_path / "town_reader.py").write_text(text)
         info = tmp_path / "town-1.dist-info"
@@ -28,6 +29,7 @@ def register(tmp_path, monkeypatch):
         (info / "entry_points.txt").write_text(f"[clsplat.scenes]\n{entry}\n")
         monkeypatch.syspath_prepend(str(tmp_path))
         monkeypatch.delitem(sys.modules, "town_reader", raising=False)
+
     return install
 
 
@@ -43,9 +45,14 @@ def test_a_registered_reader_is_imported_where_no_other_fits(tmp_path, register)
     assert len(scene.views) == 4 and scene.path == tmp_path / "own"
 
 
-@pytest.mark.parametrize("text, entry", [
-    ("import missing_module", "town = town_reader"), ("", "town = town_reader"),
-    (READER, "town = town_reader:Missing")])
+@pytest.mark.parametrize(
+    "text, entry",
+    [
+        ("import missing_module", "town = town_reader"),
+        ("", "town = town_reader"),
+        (READER, "town = town_reader:Missing"),
+    ],
+)
 def test_a_reader_that_does_not_load_is_named(tmp_path, register, text, entry):
     register(text, entry)
     (tmp_path / "own").mkdir()

@@ -18,10 +18,9 @@ def scene(tmp_path):
     folder = write_scene(tmp_path / "town")
     random = np.random.default_rng(0)
     for number in range(4):
-        write_image(folder / f"images/photo_{number}.png",
-                    random.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8))
+        write_image(folder / f"images/photo_{number}.png", random.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8))
     mask = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-    mask[:, :WIDTH // 2] = 255
+    mask[:, : WIDTH // 2] = 255
     (folder / "masks").mkdir()
     write_image(folder / "masks/photo_1.png.png", mask)
     return read_scene(folder)
@@ -34,8 +33,7 @@ def check_place(written, scene):
     assert np.array_equal(written.observations, scene.observations)
     assert np.array_equal(written.colours, scene.colours)
     for view, other in zip(written.views, scene.views):
-        assert np.allclose(view.camera.position + written.offset,
-                           other.camera.position + scene.offset, atol=1e-9)
+        assert np.allclose(view.camera.position + written.offset, other.camera.position + scene.offset, atol=1e-9)
 
 
 @pytest.mark.parametrize("linked", [True, False])
@@ -72,11 +70,17 @@ def test_photos_of_a_lens_are_written_without_it(tmp_path):
 @pytest.mark.parametrize("kind", [np.uint16, np.float32, bytes])
 def test_photos_that_are_no_files(tmp_path, scene, kind):
     photos = [read_photo(view) for view in scene.views]
-    sources = [view.source.read_bytes() if kind is bytes else
-               photo * np.uint16(257) if kind is np.uint16 else photo / np.float32(255)
-               for photo, view in zip(photos, scene.views)]
-    own = replace(scene, views=tuple(
-        replace(view, source=source, mask=None) for view, source in zip(scene.views, sources)))
+    sources = [
+        view.source.read_bytes()
+        if kind is bytes
+        else photo * np.uint16(257)
+        if kind is np.uint16
+        else photo / np.float32(255)
+        for photo, view in zip(photos, scene.views)
+    ]
+    own = replace(
+        scene, views=tuple(replace(view, source=source, mask=None) for view, source in zip(scene.views, sources))
+    )
     assert all(np.array_equal(read_photo(view), photo) for view, photo in zip(own.views, photos))
     write(tmp_path / "again", own)
     read = read_scene(tmp_path / "again")

@@ -40,8 +40,10 @@ def find_metashape(path: Path) -> Path | None:
         return path if _is_export(path) else None
     found = sorted(filter(_is_export, path.glob("*.xml")))
     if len(found) > 1:
-        raise InputError(f"{path}: holds several exports of Metashape's cameras: {found[0].name}, "
-                         f"{found[1].name}; give the file itself instead of its folder")
+        raise InputError(
+            f"{path}: holds several exports of Metashape's cameras: {found[0].name}, "
+            f"{found[1].name}; give the file itself instead of its folder"
+        )
     return found[0] if found else None
 
 
@@ -68,11 +70,16 @@ def read_metashape(path: Path, images: str = "") -> Scene:
         used, notes = _aligned(chunks[0])
         sensors = {sensor.get("id", ""): sensor for sensor in chunks[0].iter("sensor")}
         to_world = _transforms(chunks[0])
-        photos = [_photo(camera, sensors, to_world, *found) for camera, found in zip(
-            used, files.found(camera.get("label", "") for camera in used))]
+        photos = [
+            _photo(camera, sensors, to_world, *found)
+            for camera, found in zip(used, files.found(camera.get("label", "") for camera in used))
+        ]
         definition = (chunks[0].findtext("reference") or "").strip()
-        place = None if not definition or definition.upper().startswith(LOCAL) else OnEarth(
-            IDENTITY, definition, "Metashape")
+        place = (
+            None
+            if not definition or definition.upper().startswith(LOCAL)
+            else OnEarth(IDENTITY, definition, "Metashape")
+        )
         return project_scene(path, files, photos, place=place, notes=notes)
 
 
@@ -81,8 +88,11 @@ def _aligned(chunk: Element) -> tuple[list[Element], tuple[str, ...]]:
     cameras = list(chunk.iterfind("cameras//camera"))
     if any(camera.get("master_id") for camera in cameras):
         raise ValueError("rigs of several cameras are not read; export in COLMAP's format")
-    used = [camera for camera in cameras if camera.find("transform") is not None
-            and camera.get("enabled", "true").lower() not in ("false", "0")]
+    used = [
+        camera
+        for camera in cameras
+        if camera.find("transform") is not None and camera.get("enabled", "true").lower() not in ("false", "0")
+    ]
     left = len(cameras) - len(used)
     note = f"{left} of {len(cameras)} photos of the project are not aligned or disabled: left out"
     return used, (note,) if left else ()
@@ -98,24 +108,31 @@ def _transforms(chunk: Element) -> dict[str, Similarity]:
             continue
         scale, rotation, translation = (
             numbers(transform.findtext(key) or default, len(default.split()), key)
-            for key, default in (("scale", "1"), ("rotation", "1 0 0 0 1 0 0 0 1"),
-                                 ("translation", "0 0 0")))
+            for key, default in (("scale", "1"), ("rotation", "1 0 0 0 1 0 0 0 1"), ("translation", "0 0 0"))
+        )
         if not scale[0] > 0:
             raise ValueError("scale is not positive")
         found["" if component is chunk else component.get("id", "")] = Similarity(
-            float(scale[0]), rotation.reshape(3, 3), translation)
+            float(scale[0]), rotation.reshape(3, 3), translation
+        )
     return found
 
 
-def _photo(camera: Element, sensors: Mapping[str, Element], to_world: Mapping[str, Similarity],
-           name: str, source: Path) -> PosedPhoto:
+def _photo(
+    camera: Element, sensors: Mapping[str, Element], to_world: Mapping[str, Similarity], name: str, source: Path
+) -> PosedPhoto:
     try:
         pose = numbers(camera.findtext("transform") or "", 16, "transform").reshape(4, 4)
         world = to_world.get(camera.get("component_id", ""), to_world.get("", IDENTITY))
         if camera.get("sensor_id", "") not in sensors:
             raise ValueError("its sensor is missing")
-        return PosedPhoto(name, source, _optics(sensors[camera.get("sensor_id", "")]),
-                          (world.rotation @ pose[:3, :3]).T, world(pose[:3, 3]))
+        return PosedPhoto(
+            name,
+            source,
+            _optics(sensors[camera.get("sensor_id", "")]),
+            (world.rotation @ pose[:3, :3]).T,
+            world(pose[:3, 3]),
+        )
     except ValueError as error:
         raise ValueError(f"camera {camera.get('label', '')[:80]}: {error}") from None
 
@@ -124,20 +141,23 @@ def _optics(sensor: Element) -> Optics:
     kind = sensor.get("type", "frame")
     if kind not in ("frame", "fisheye"):
         raise ValueError(f"sensors of type {kind[:40]} are not read; export in COLMAP's format")
-    calibrations = sorted(sensor.findall("calibration"),
-                          key=lambda each: each.get("class") != "adjusted")
+    calibrations = sorted(sensor.findall("calibration"), key=lambda each: each.get("class") != "adjusted")
     if not calibrations:
         raise ValueError("its sensor has no calibration")
-    resolution = next((found for each in (calibrations[0], sensor)
-                       if (found := each.find("resolution")) is not None), None)
+    resolution = next(
+        (found for each in (calibrations[0], sensor) if (found := each.find("resolution")) is not None), None
+    )
     if resolution is None:
         raise ValueError("its sensor has no resolution")
     width, height = (pixels(parsed(resolution.get(key), key), key) for key in ("width", "height"))
-    value = {key: parsed(calibrations[0].findtext(key) or "0", key)
-             for key in ("f", "cx", "cy", "b1", *DISTORTION)}
+    value = {key: parsed(calibrations[0].findtext(key) or "0", key) for key in ("f", "cx", "cy", "b1", *DISTORTION)}
     focal = value["f"] + value["b1"], value["f"]
     centre = width / 2 + value["cx"], height / 2 + value["cy"]
     value["p1"], value["p2"] = value["p2"], value["p1"]
-    return optics((width, height), focal, centre,
-                  BROWN if kind == "frame" else (*FISHEYE, "THIN_PRISM_FISHEYE"),
-                  {key: value[key] for key in DISTORTION})
+    return optics(
+        (width, height),
+        focal,
+        centre,
+        BROWN if kind == "frame" else (*FISHEYE, "THIN_PRISM_FISHEYE"),
+        {key: value[key] for key in DISTORTION},
+    )

@@ -30,8 +30,10 @@ ODM = "opensfm"  # the folder in a project of ODM
 REFERENCE, TRACKS, MOVED = "reference_lla.json", "tracks.csv", "exported_geocoords.txt"
 COORDINATES = ("latitude", "longitude", "altitude")
 # projection_type -> models of COLMAP
-MODELS = {**dict.fromkeys(("perspective", "simple_radial", "radial", "brown"), posed.BROWN),
-          **dict.fromkeys(("fisheye", "fisheye_opencv"), posed.FISHEYE)}
+MODELS = {
+    **dict.fromkeys(("perspective", "simple_radial", "radial", "brown"), posed.BROWN),
+    **dict.fromkeys(("fisheye", "fisheye_opencv"), posed.FISHEYE),
+}
 ASPECT = 2e-3  # relative tolerance of the ratio of a photo's sides: they may be rounded
 
 
@@ -56,10 +58,8 @@ def read_opensfm(path: Path, images: str = "") -> Scene:
     files = PhotoFiles(path.parent.parent if path.parent.name == ODM else path.parent, images)
     with reading(path, "a reconstruction of OpenSfM", "copy it again"):
         record, notes = _largest(path)
-        shots, cameras, points = (table(record.get(key, {}), key)
-                                  for key in ("shots", "cameras", "points"))
-        photos = [_photo(shots[shot], cameras, *found)
-                  for shot, found in zip(shots, files.found(shots))]
+        shots, cameras, points = (table(record.get(key, {}), key) for key in ("shots", "cameras", "points"))
+        photos = [_photo(shots[shot], cameras, *found) for shot, found in zip(shots, files.found(shots))]
         cloud = _points(points, path.parent, list(shots))
         reference = _reference(path, record)
         place = reference and OnEarth(topocentric(*reference), "", "OpenSfM")
@@ -76,18 +76,20 @@ def _largest(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     largest = int(np.argmax(counts))
     if len(counts) == 1:
         return found[0], ()
-    return found[largest], (f"OpenSfM has split the scene into {len(counts)} parts; the largest, "
-                             f"with {counts[largest]} of {sum(counts)} photos, is used",)
+    return found[largest], (
+        f"OpenSfM has split the scene into {len(counts)} parts; the largest, "
+        f"with {counts[largest]} of {sum(counts)} photos, is used",
+    )
 
 
 def _photo(shot: Any, cameras: Mapping[str, Any], name: str, source: Path) -> posed.PosedPhoto:
     shot = table(shot, f"shot {name[:80]}")
     camera = table(cameras.get(str(shot.get("camera"))), f"the camera of shot {name[:80]}")
     rotation = scipy.spatial.transform.Rotation.from_rotvec(
-        numbers(shot.get("rotation"), 3, f"the rotation of {name[:80]}")).as_matrix()
+        numbers(shot.get("rotation"), 3, f"the rotation of {name[:80]}")
+    ).as_matrix()
     translation = numbers(shot.get("translation"), 3, f"the translation of {name[:80]}")
-    return posed.PosedPhoto(name, source, _optics(camera, image_size(source)), rotation,
-                            -rotation.T @ translation)
+    return posed.PosedPhoto(name, source, _optics(camera, image_size(source)), rotation, -rotation.T @ translation)
 
 
 def _optics(camera: Mapping[str, Any], photo: tuple[int, int]) -> posed.Optics:
@@ -104,29 +106,40 @@ def _optics(camera: Mapping[str, Any], photo: tuple[int, int]) -> posed.Optics:
     focal = longer * value(both), longer * value("focal" if "focal" in camera else "focal_y")
     centre = size[0] / 2 + longer * value("c_x"), size[1] / 2 + longer * value("c_y")
     if kind not in MODELS:
-        raise ValueError(f"the camera model {str(kind)[:40]} is not read; reconstruct with "
-                         "perspective, brown or fisheye")
-    return posed.optics(size, focal, centre, MODELS[kind],
-                        {key: value(key) for key in posed.COEFFICIENTS})
+        raise ValueError(
+            f"the camera model {str(kind)[:40]} is not read; reconstruct with perspective, brown or fisheye"
+        )
+    return posed.optics(size, focal, centre, MODELS[kind], {key: value(key) for key in posed.COEFFICIENTS})
 
 
 def _points(points: Mapping[str, Any], folder: Path, shots: list[str]) -> posed.Cloud | None:
     if not points:
         return None
-    rows = [[numbers(table(point, f"point {name[:40]}").get(key), 3, f"{key} of point {name[:40]}")
-             for key in ("coordinates", "color")] for name, point in points.items()]
+    rows = [
+        [
+            numbers(table(point, f"point {name[:40]}").get(key), 3, f"{key} of point {name[:40]}")
+            for key in ("coordinates", "color")
+        ]
+        for name, point in points.items()
+    ]
     positions, colours = np.array(rows).transpose(1, 0, 2)
     tracks = folder / TRACKS
-    return posed.Cloud(positions, colours.clip(0, 255).round().astype(np.uint8),
-                       _observations(tracks, list(points), shots) if tracks.is_file() else None)
+    return posed.Cloud(
+        positions,
+        colours.clip(0, 255).round().astype(np.uint8),
+        _observations(tracks, list(points), shots) if tracks.is_file() else None,
+    )
 
 
 def _observations(path: Path, points: list[str], shots: list[str]) -> NDArray[np.int64]:
     """int64[M, 2], rows (point, shot): columns 1 (shot) and 2 (point) of tracks.csv."""
     point, shot = ({name: row for row, name in enumerate(names)} for names in (points, shots))
     lines = read_regular(path).decode("utf-8", "replace").split("\n")
-    rows = [(point[row[1]], shot[row[0]]) for row in (line.split("\t") for line in lines)
-            if len(row) > 2 and row[0] in shot and row[1] in point]
+    rows = [
+        (point[row[1]], shot[row[0]])
+        for row in (line.split("\t") for line in lines)
+        if len(row) > 2 and row[0] in shot and row[1] in point
+    ]
     return np.array(rows, np.int64).reshape(-1, 2)
 
 

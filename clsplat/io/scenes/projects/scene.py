@@ -42,9 +42,11 @@ class PhotoFiles:
         found = [self.find(name) for name in names]
         missing = [source for _, source in found if not os.path.isfile(source)]
         if missing:
-            raise InputError(f"{str(missing[0])[:MOST_CHARACTERS]}: no such image ({len(missing)} "
-                             f"of {len(found)} photos of the project are missing); put them "
-                             "there, or name their folder with --images")
+            raise InputError(
+                f"{str(missing[0])[:MOST_CHARACTERS]}: no such image ({len(missing)} "
+                f"of {len(found)} photos of the project are missing); put them "
+                "there, or name their folder with --images"
+            )
         return found
 
     def find(self, name: object) -> tuple[str, Path]:
@@ -76,6 +78,7 @@ class PhotoFiles:
     def _alike(self, parts: tuple[str, ...]) -> Path | None:
         """The file of the photo folder whose name and folders agree most with these; InputError if
         two agree equally."""
+
         def likeness(path: Path) -> int:
             pairs = zip(path.parts[-2::-1], parts[-2::-1])
             equal = [own.casefold() == named.casefold() for own, named in pairs]
@@ -84,8 +87,10 @@ class PhotoFiles:
         found = sorted(self._files.get(parts[-1].casefold(), []), key=likeness, reverse=True)
         if len(found) > 1 and likeness(found[0]) == likeness(found[1]):
             places = ", ".join(str(path)[:MOST_CHARACTERS] for path in found[:2])
-            raise InputError(f"{self.folder}: several photos fit {parts[-1][:80]!r}: {places}; "
-                             "name the folder of the right ones with --images")
+            raise InputError(
+                f"{self.folder}: several photos fit {parts[-1][:80]!r}: {places}; "
+                "name the folder of the right ones with --images"
+            )
         return found[0] if found else None
 
     @cached_property
@@ -108,9 +113,16 @@ class OnEarth(NamedTuple):
     program: str
 
 
-def project_scene(path: Path, files: PhotoFiles, photos: Sequence[PosedPhoto],
-                  points: Cloud | None = None, *, place: OnEarth | None = None,
-                  z_is_up: bool = False, notes: Sequence[str] = ()) -> Scene:
+def project_scene(
+    path: Path,
+    files: PhotoFiles,
+    photos: Sequence[PosedPhoto],
+    points: Cloud | None = None,
+    *,
+    place: OnEarth | None = None,
+    z_is_up: bool = False,
+    notes: Sequence[str] = (),
+) -> Scene:
     """Build the scene of a project and recentre it; see `posed_scene`.
 
     Parameters
@@ -122,37 +134,47 @@ def project_scene(path: Path, files: PhotoFiles, photos: Sequence[PosedPhoto],
     place : on the earth, to which photos and points are moved.
     """
     if not photos:
-        raise InputError(f"{path}: no photo of the project has a pose; align the photos first, "
-                         "and export again")
+        raise InputError(f"{path}: no photo of the project has a pose; align the photos first, and export again")
     georeference = None
     if place is not None:
         similarity, georeference = on_map(
-            place.to_earth, np.array([photo.position for photo in photos]),
+            place.to_earth,
+            np.array([photo.position for photo in photos]),
             systems.project_crs(place.definition),
-            f"{place.program}'s alignment of {len(photos)} photos")
-        photos = [replace(photo, rotation=photo.rotation @ similarity.rotation.T,
-                          position=similarity(photo.position)) for photo in photos]
+            f"{place.program}'s alignment of {len(photos)} photos",
+        )
+        photos = [
+            replace(photo, rotation=photo.rotation @ similarity.rotation.T, position=similarity(photo.position))
+            for photo in photos
+        ]
         if points is not None:
             points = points._replace(positions=similarity(points.positions))
     if points is None:
         points = read_cloud(files.project, None, np.eye(3, 4))
         if points is not None and georeference is not None:
             points = points._replace(positions=georeference.from_map(points.positions))
-    return posed_scene(path, files.project, photos, points, georeference=georeference,
-                       z_is_up=z_is_up, notes=notes,
-                       smaller=files.folder if files.folder.name != IMAGES else None)
+    return posed_scene(
+        path,
+        files.project,
+        photos,
+        points,
+        georeference=georeference,
+        z_is_up=z_is_up,
+        notes=notes,
+        smaller=files.folder if files.folder.name != IMAGES else None,
+    )
 
 
 def topocentric(latitude: float, longitude: float, height: float) -> Similarity:
     """From east, north and up in metres at a place (degrees, metres) to geocentric coordinates."""
     (centre,) = conversion(systems.GEODETIC, systems.GEOCENTRIC)([(longitude, latitude, height)])
-    axes = scipy.spatial.transform.Rotation.from_euler(
-        "ZX", (90 + longitude, 90 - latitude), degrees=True)
+    axes = scipy.spatial.transform.Rotation.from_euler("ZX", (90 + longitude, 90 - latitude), degrees=True)
     return Similarity(1.0, axes.as_matrix(), centre)
 
 
-def on_map(to_earth: Similarity, centres: NDArray[np.float64], crs: str, source: str
-           ) -> tuple[Similarity, Georeference]:
+def on_map(
+    to_earth: Similarity, centres: NDArray[np.float64], crs: str, source: str
+) -> tuple[Similarity, Georeference]:
     """Find how a reconstruction lies on a map.
 
     A reconstruction is rigid, a map is not: near one place a map is a similarity of the earth up to
@@ -179,8 +201,7 @@ def on_map(to_earth: Similarity, centres: NDArray[np.float64], crs: str, source:
         raise ValueError("its cameras are not near the earth's surface")
     crs = crs or systems.utm_zone(*place[:2])
     around = middle + STEP / to_earth.scale * np.concatenate([np.eye(3), -np.eye(3)])
-    exact = conversion(systems.GEODETIC, crs, partial=True)(
-        geodetic(to_earth(np.concatenate([around, centres]))))
+    exact = conversion(systems.GEODETIC, crs, partial=True)(geodetic(to_earth(np.concatenate([around, centres]))))
     offset = np.round(exact[:6].mean(axis=0))
     similarity = fitted(around, exact[:6] - offset) if np.isfinite(exact).all() else None
     if similarity is None:

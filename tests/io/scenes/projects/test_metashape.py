@@ -19,16 +19,19 @@ from tests.refusals import refused
 LENS = (40.0, 40.5, 23.0, 19.0, -0.1, 0.02, 1e-3, -2e-3, 0.01, 0.0, 0.0, 0.0)
 FISHEYE = (40.0, 40.5, 23.0, 19.0, -0.1, 0.02, 1e-3, -2e-3, 0.01, -0.003, 0.0, 0.0)
 MODELS = {"PINHOLE": None, "FULL_OPENCV": LENS, "OPENCV": LENS[:8], "THIN_PRISM_FISHEYE": FISHEYE}
-GEOGRAPHIC = ('GEOGCS["WGS 84",DATUM["World Geodetic System 1984",SPHEROID["WGS 84",6378137,'
-              '298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.01745329251994328],'
-              'AUTHORITY["EPSG","4326"]]')
+GEOGRAPHIC = (
+    'GEOGCS["WGS 84",DATUM["World Geodetic System 1984",SPHEROID["WGS 84",6378137,'
+    '298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.01745329251994328],'
+    'AUTHORITY["EPSG","4326"]]'
+)
 TRANSFORM = 2.5, Rotation.from_rotvec([0.3, -0.2, 1.0]).as_matrix(), np.array([10.0, -20.0, 5.0])
 
 
 def made(folder, model="PINHOLE"):
     parameters = MODELS[model]
-    return read_scene(write_scene(
-        folder / "made", reconstruction(model, parameters) if parameters else reconstruction()))
+    return read_scene(
+        write_scene(folder / "made", reconstruction(model, parameters) if parameters else reconstruction())
+    )
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -48,12 +51,23 @@ def test_camera_models_are_those_of_the_manual(tmp_path, kind):
 
     from clsplat.io.scenes.projects.metashape import _optics
 
-    values = {"f": 500.0, "cx": 3.0, "cy": -2.0, "b1": 4.0, "k1": -0.1, "k2": 0.02, "k3": 0.01,
-              "p1": 2e-3, "p2": -3e-3, **({"k4": -0.004} if kind == "fisheye" else {})}
+    values = {
+        "f": 500.0,
+        "cx": 3.0,
+        "cy": -2.0,
+        "b1": 4.0,
+        "k1": -0.1,
+        "k2": 0.02,
+        "k3": 0.01,
+        "p1": 2e-3,
+        "p2": -3e-3,
+        **({"k4": -0.004} if kind == "fisheye" else {}),
+    }
     sensor = ElementTree.fromstring(
         f'<sensor type="{kind}"><resolution width="640" height="480"/><calibration>'
         + "".join(f"<{key}>{value}</{key}>" for key, value in values.items())
-        + "</calibration></sensor>")
+        + "</calibration></sensor>"
+    )
     k = [values.pop(f"k{n}", 0.0) for n in range(1, 5)]
     wanted = metashape(rays(), (640, 480), k=k, wide=kind == "fisheye", **values)
     np.testing.assert_allclose(colmap(_optics(sensor), rays()), wanted, atol=1e-9)
@@ -78,16 +92,23 @@ def on_earth(folder, scene, reference):
     """Write the scene as one that lies east, north and up of a place; the way to the earth."""
     earth = topocentric(52.4, 16.9, 80.0)
     path = write_metashape(folder, scene, reference=reference)
-    placed = (f"<transform><rotation>{texts(earth.rotation)}</rotation><translation>"
-              f"{texts(earth.translation)}</translation></transform></component>")
+    placed = (
+        f"<transform><rotation>{texts(earth.rotation)}</rotation><translation>"
+        f"{texts(earth.translation)}</translation></transform></component>"
+    )
     path.write_text(re.sub(r"<transform><rotation.*?</component>", placed, path.read_text()))
     return earth
 
 
-@pytest.mark.parametrize("reference, crs", [
-    (GEOGRAPHIC, "EPSG:32633"), ("EPSG:25833", "EPSG:25833"),
-    ("EPSG:2180", "EPSG:2180"),  # Poland's, with the north first
-    ("EPSG:2263", "EPSG:32633")])  # in feet
+@pytest.mark.parametrize(
+    "reference, crs",
+    [
+        (GEOGRAPHIC, "EPSG:32633"),
+        ("EPSG:25833", "EPSG:25833"),
+        ("EPSG:2180", "EPSG:2180"),  # Poland's, with the north first
+        ("EPSG:2263", "EPSG:32633"),
+    ],
+)  # in feet
 def test_georeference(tmp_path, reference, crs):
     """Geocentric coordinates become those of the chunk's map, or of the UTM zone if the map is not
     in metres."""
@@ -99,8 +120,8 @@ def test_georeference(tmp_path, reference, crs):
     for view, other in zip(read.views, scene.views):
         place = earth(other.camera.position + scene.offset)
         np.testing.assert_allclose(
-            read.georeference.to_map(view.camera.position + read.offset), to_map.transform(*place),
-            atol=1e-3)
+            read.georeference.to_map(view.camera.position + read.offset), to_map.transform(*place), atol=1e-3
+        )
     assert read.georeference.residual < 1e-3 and read.up[2] == 1
 
 
@@ -113,8 +134,7 @@ def test_points_of_a_map(tmp_path):
     np.testing.assert_allclose(world_points(again), world_points(read), atol=1e-6)
 
 
-@pytest.mark.parametrize("extra, words", [
-    ("<p4>0.01</p4>", "p4"), ("<b2>-0.3</b2>", "b2"), ("<p3>1e-5</p3>", "p3")])
+@pytest.mark.parametrize("extra, words", [("<p4>0.01</p4>", "p4"), ("<b2>-0.3</b2>", "b2"), ("<p3>1e-5</p3>", "p3")])
 def test_coefficients_that_colmap_has_not(tmp_path, extra, words):
     write_metashape(tmp_path, made(tmp_path), extra=extra)
     refused(lambda: read_scene(tmp_path), "cameras.xml", f"coefficient {words}; optimise")

@@ -17,11 +17,29 @@ from tests.refusals import refused
 LENS = "FULL_OPENCV", (40.0, 40.5, 23.0, 19.0, -0.1, 0.02, 1e-3, -2e-3, 0.01, 0.0, 0.0, 0.0)
 CAMERAS = {
     "perspective": {"focal": 0.9, "k1": -0.1, "k2": 0.03},
-    "brown": {"focal_x": 0.9, "focal_y": 0.8, "c_x": 0.01, "c_y": -0.02, "k1": -0.1, "k2": 0.03,
-              "p1": 2e-3, "p2": -3e-3, "k3": 0.01},
+    "brown": {
+        "focal_x": 0.9,
+        "focal_y": 0.8,
+        "c_x": 0.01,
+        "c_y": -0.02,
+        "k1": -0.1,
+        "k2": 0.03,
+        "p1": 2e-3,
+        "p2": -3e-3,
+        "k3": 0.01,
+    },
     "fisheye": {"focal": 0.9, "k1": -0.1, "k2": 0.03},
-    "fisheye_opencv": {"focal_x": 0.9, "focal_y": 0.8, "c_x": 0.01, "c_y": -0.02, "k1": -0.1,
-                       "k2": 0.03, "k3": 0.01, "k4": -0.02}}
+    "fisheye_opencv": {
+        "focal_x": 0.9,
+        "focal_y": 0.8,
+        "c_x": 0.01,
+        "c_y": -0.02,
+        "k1": -0.1,
+        "k2": 0.03,
+        "k3": 0.01,
+        "k4": -0.02,
+    },
+}
 
 
 @pytest.fixture(scope="module", params=["PINHOLE", LENS[0]])
@@ -89,20 +107,23 @@ def test_georeference(tmp_path, scene):
         # the grid's scale, and its north, which is half a degree away
         np.testing.assert_allclose(place, wanted, atol=0.3)
         # photos show the same as before
-        np.testing.assert_allclose(view.camera.project(read.points)[0],
-                                   other.camera.project(scene.points)[0], atol=1e-6)
-    distances = [np.linalg.norm(s.views[0].camera.position - s.views[1].camera.position)
-                 for s in (read, scene)]
+        np.testing.assert_allclose(
+            view.camera.project(read.points)[0], other.camera.project(scene.points)[0], atol=1e-6
+        )
+    distances = [np.linalg.norm(s.views[0].camera.position - s.views[1].camera.position) for s in (read, scene)]
     assert distances[0] / distances[1] == pytest.approx(1, abs=5e-4) and read.up[2] == 1
 
 
-@pytest.mark.parametrize("change, words", [
-    (lambda table: table.update(cameras={}), "the camera of shot .* is not an object"),
-    (lambda table: table["shots"]["photo_0.png"].update(rotation=[0, 0]), "not 3 numbers"),
-    (lambda table: table["cameras"]["v2 made"].update(projection_type="dual"), "dual is not read"),
-    (lambda table: table.update(shots={}), "align the photos first"),
-    (lambda table: table.update(shots={"a.jpg": {}}), "1 of 1 photos of the project are missing"),
-])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (lambda table: table.update(cameras={}), "the camera of shot .* is not an object"),
+        (lambda table: table["shots"]["photo_0.png"].update(rotation=[0, 0]), "not 3 numbers"),
+        (lambda table: table["cameras"]["v2 made"].update(projection_type="dual"), "dual is not read"),
+        (lambda table: table.update(shots={}), "align the photos first"),
+        (lambda table: table.update(shots={"a.jpg": {}}), "1 of 1 photos of the project are missing"),
+    ],
+)
 def test_what_is_refused(tmp_path, scene, change, words):
     table = write_opensfm(tmp_path, scene)
     change(table)

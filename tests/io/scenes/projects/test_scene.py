@@ -17,9 +17,18 @@ def project(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("name, found", [
-    ("2/b.tif", "2/b.tif"), ("b", "2/b.tif"), ("B.TIF", "2/b.tif"), ("E:\\x\\2\\b.tif", "2/b.tif"),
-    ("c:/flight/2/a.JPG", "2/a.JPG"), ("/mnt/1/a", "1/a.JPG"), ("other/b.tif", "2/b.tif")])
+@pytest.mark.parametrize(
+    "name, found",
+    [
+        ("2/b.tif", "2/b.tif"),
+        ("b", "2/b.tif"),
+        ("B.TIF", "2/b.tif"),
+        ("E:\\x\\2\\b.tif", "2/b.tif"),
+        ("c:/flight/2/a.JPG", "2/a.JPG"),
+        ("/mnt/1/a", "1/a.JPG"),
+        ("other/b.tif", "2/b.tif"),
+    ],
+)
 def test_a_photo_is_found(project, name, found):
     assert PhotoFiles(project).find(name) == (found, project / "images" / found)
 
@@ -82,8 +91,9 @@ def test_a_kilometre_of_cameras():
     centres = random.uniform((-500, -500, 50), (500, 500, 150), (100, 3))
     similarity, georeference = on_map(earth, centres, "", "made")
     assert georeference.crs == "EPSG:32633" and georeference.offset[0] % 1 == 0
-    exact = np.stack(pyproj.Transformer.from_crs("EPSG:4978", "EPSG:32633", always_xy=True)
-                     .transform(*earth(centres).T), axis=1)
+    exact = np.stack(
+        pyproj.Transformer.from_crs("EPSG:4978", "EPSG:32633", always_xy=True).transform(*earth(centres).T), axis=1
+    )
     places = georeference.to_map(similarity(centres))
     missed = np.linalg.norm(places - exact, axis=1)
     assert missed.max() < 0.1
@@ -103,10 +113,9 @@ def test_a_reconstruction_in_any_unit_and_frame():
     turn, shift = axes.T, np.array([3e4, -2e4, 1e4])
     other = 40 * centres @ turn.T + shift
     similarity, georeference = on_map(
-        Similarity(1 / 40, axes @ turn.T, place - axes @ turn.T @ shift / 40), other, "", "made")
-    np.testing.assert_allclose(
-        georeference.to_map(similarity(other)),
-        reference.to_map(places(centres)), atol=5e-3)
+        Similarity(1 / 40, axes @ turn.T, place - axes @ turn.T @ shift / 40), other, "", "made"
+    )
+    np.testing.assert_allclose(georeference.to_map(similarity(other)), reference.to_map(places(centres)), atol=5e-3)
 
 
 def test_a_map_that_mirrors():
