@@ -29,7 +29,7 @@ def share():
         return WORKS[handle, work]
 
     def built(context, handle, source, options, contracts):
-        key = context, source, *options
+        key = context, source, *options, repr(contracts)
         if key not in BUILT:
             BUILT[key] = build(context, handle, source, options, contracts)
         return BUILT[key]
