@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from clsplat.constants import CATCH_UP_EVERY, FRAME_COUNTS, LAZY_TERMS, SH_C0, SMALL_COLUMNS
 from clsplat.device import Array, ArraySpec, Device
 from clsplat.gaussians import LEARNED
-from clsplat.optimise.adam_kernels import CATCH_UP, CLEAR, PAGED, SEEN, STEP
+from clsplat.optimise.adam_kernels import CATCH_UP, CLEAR, PAGED, SEEN, STEP, adam_defines
 from clsplat.optimise.moments import AS_CODES, AS_REALS
 from clsplat.optimise.pages import Pages
 from clsplat.optimise.rates import corrections
@@ -35,12 +35,6 @@ _COLUMNS = {
     field.name: slice(end - field.width(0), end)
     for field, end in zip(SMALL, accumulate(field.width(0) for field in SMALL))
 }
-
-
-def adam_defines(harmonics: int, degree: int) -> Defines:
-    """The build-time choices for so many stored harmonics besides the constant ones, of which those
-    of a degree are active."""
-    return ("SH_REST", harmonics), ("DEGREE", degree)
 
 
 class DeviceAdam:

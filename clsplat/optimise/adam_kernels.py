@@ -1,9 +1,10 @@
-"""The kernels of cl/adam.cl, and what they are given."""
+"""The kernels of cl/adam.cl, what they are given, and the choices of their builds."""
 
 from clsplat.constants import CATCH_UP_EVERY, FRAME_COUNTS, LAZY_TERMS, SMALL_COLUMNS
 from clsplat.device import Either, Forms, Kernel, Only, each
 from clsplat.device.kernel import Argument
 from clsplat.gaussians import LEARNED
+from clsplat.rendering.blend import Defines
 
 
 def _moments(m: str, v: str, *shape: str | int) -> dict[str, Either]:
@@ -87,3 +88,9 @@ SEEN = Kernel(
     flags=("uint", "N"),
 )
 CLEAR = Kernel("adam.cl", "adam_clear", each("count"), count="uint", begin="uint", end="uint", **_SMALL_MOMENTS)
+
+
+def adam_defines(harmonics: int, degree: int) -> Defines:
+    """The build-time choices for so many stored harmonics besides the constant ones, of which those
+    of a degree are active."""
+    return ("SH_REST", harmonics), ("DEGREE", degree)

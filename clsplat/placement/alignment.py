@@ -192,7 +192,7 @@ class _Problem:
         # what MOST_RIGHT of the lengths do not exceed is 1.552 standard deviations along the ground
         # (Rayleigh distribution) and 1.036 in height (half-normal)
         ground_std, height_std = (
-            _rms(values[values <= OUTLIER * _typical(values) / quantile]) if len(values) else np.inf
+            _rms(values[values <= OUTLIER * np.quantile(values, MOST_RIGHT) / quantile]) if len(values) else np.inf
             for values, quantile in ((ground, 1.552), (height, 1.036))
         )
         return max(ground_std / np.sqrt(2), self.least_std), max(height_std, self.least_std)
@@ -315,10 +315,6 @@ def _samples(rng: np.random.Generator, count: int, size: int) -> NDArray[np.intp
     if count < size:
         return np.zeros((0, size), np.intp)
     return np.array([rng.choice(count, size, replace=False) for _ in range(SAMPLES)])
-
-
-def _typical(values: NDArray[np.float64]) -> float:
-    return float(np.quantile(values, MOST_RIGHT))
 
 
 def _rms(values: NDArray[np.float64]) -> float:

@@ -16,7 +16,7 @@ from clsplat.io.records import digest_of
 from clsplat.io.runs.run import PART_OF_CITY
 from clsplat.io.scenes.read import fingerprint
 from clsplat.loss import image_loss
-from clsplat.optimise import adam, adam_kernels
+from clsplat.optimise import adam_kernels
 from clsplat.primitives import compact, gather, reduce, sort
 from clsplat.rendering import bin, blend, cull, project
 from clsplat.scene import Scene
@@ -101,7 +101,7 @@ def first_kernels(prepared: PreparedScene, device: Device) -> Iterator[tuple[Ker
     yield compact.COMPACT, ()
     yield project.PROJECT, project.of_degree(projecting, 0)
     yield bin.COUNT_TILES, ()
-    yield adam_kernels.STEP, adam.adam_defines(dict(projecting)["SH_REST"], 0)
+    yield adam_kernels.STEP, adam_kernels.adam_defines(dict(projecting)["SH_REST"], 0)
     if bin.NEEDS_ORDER.of(device):
         yield sort.SCATTER, sort.SORT_DEFINES
     if options.exposure == "on":
